@@ -1,4 +1,4 @@
-"""`python -m synth`: the design table of a vehicle file, and how good every controller of it is."""
+"""The command `python -m synth`: prints the design table of a vehicle file, and certifies each of its controllers."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit code.
+    """Runs the command and returns its exit code.
 
     Raises:
         InputError: bad options or vehicle file.
@@ -41,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return front(vehicle, options)
     names = [] if options.check else _names(vehicle, options)
-    with suppress(InputError):  # some drive dampers, others actuators that push: of the file, then
+    # some controllers drive dampers, and others drive active actuators: keep the actuators of the file
+    with suppress(InputError):
         vehicle = vehicle.with_common_actuators(names)
     if options.rates:
         from synth.command.sample_rate import answer as rates
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
-    """The controllers asked for, each once."""
+    """Returns the names of the selected controllers, without duplicates."""
     from models.laws.combinations import check_command, goes
 
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]

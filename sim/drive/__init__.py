@@ -1,3 +1,3 @@
-"""Cases, drivers and the loop in MuJoCo; responses, and the ends of the linear regime."""
+"""Simulation of runs in MuJoCo: cases, drivers, the loop, responses, and the ends of the linear regime. Start with `drive.py`."""
 
-RUNS_AT_ONCE = 256  # more hardly save time
+RUNS_AT_ONCE = 256  # more runs at the same time hardly save time

@@ -1,4 +1,4 @@
-"""`python -m sim.drive`: controllers over one road of any kind, in MuJoCo and in linear analysis, compared and measured."""
+"""The command `python -m sim.drive`: drives controllers over a road, compares with linear analysis, and measures the ride."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -14,7 +14,7 @@ from sim.command.road_options import add_road, add_run_options, add_start, add_v
 EPILOG = """
 exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
 disagree, a loop is unstable (not with --allow-unstable), or a controller cannot be designed; 2 invalid input. A run that diverges
-or fully compresses a tyre ends there, without metrics.
+or fully compresses a tyre ends early, and has no metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20
@@ -32,7 +32,7 @@ examples:
 
 
 def parser() -> Parser:
-    """The options."""
+    """Returns the parser of the command's options."""
     parser = Parser(
         "sim.drive",
         "Drive over a road in MuJoCo and in linear analysis, compare the responses, measure the ride, and record it.",
@@ -46,14 +46,18 @@ def parser() -> Parser:
         "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
     )
     parser.add_number(
-        "--settle", None, "s", "beginning of a random road that is not measured", "until all controllers have settled"
+        "--settle",
+        None,
+        "s",
+        "time at the start of a random road without metrics",
+        "until all controllers have settled",
     )
     add_run_options(parser, 20.0)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit code.
+    """Runs the command and returns its exit code.
 
     Raises:
         InputError: bad options, vehicle file, road or logs folder.

@@ -1,7 +1,7 @@
-"""Actuators of N runs: they limit requests, turn them into MuJoCo's controls, and record what adjustable dampers did.
+"""Actuators of N runs: they limit requested forces, set MuJoCo's controls, and record the signals of semi-active dampers.
 
-A controller works with the suspension velocity linearised at equilibrium. When a body turns, the damper's own velocity differs
-by geometry.
+A controller receives the suspension velocity, linearised at equilibrium. If the body pitches or rolls, the velocity of the
+damper itself differs from it due to geometry.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the suspensions' closing velocities, one per input, and of travel and states of elements that are set.
+    """Returns the names of the suspensions' closing velocities, and of travels and states of voltage-controlled elements.
 
-    They are empty without adjustable dampers. See `CoefficientRange.closing`.
+    A voltage-controlled element is a force element whose voltage the controller commands. The result is empty without
+    semi-active dampers. See `CoefficientRange.closing`.
     """
     if not vehicle.dampers:
         return ()
@@ -32,20 +33,22 @@ def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 class Actuators:
-    """Actuators of N vehicles of one kind, with adjustable dampers at the same places in each.
+    """Actuators of N vehicles of one type, whose semi-active dampers are at the same suspensions.
 
-    Commands are forces [N], shape (N, m). With adjustable dampers they are coefficients beyond the nominal ones [N s/m], or
-    forces of actuators that push, followed by the missing forces, shape (N, 2 m); see `CoefficientRange.commands`. MuJoCo applies
-    the force limit and the lag of actuators that push.
+    Without semi-active dampers, commands are forces [N], shape (N, m). With semi-active dampers, the shape is (N, 2 m): first
+    the coefficients, relative to the nominal ones [N s/m], or the forces of active actuators [N]; then the missing forces. See
+    `CoefficientRange.commands`. MuJoCo applies the force limit and the lag of active actuators.
 
     Attributes:
         forces: number m of forces.
-        size: number of commands.
-        closing: map from (qpos, qvel) to the closing velocity of every suspension, shape (m + c, nq + nv), 0 for actuators that
-            push and for the travels and states of elements that are set; (0, nq + nv) without adjustable dampers.
-        at_rest: offsets that keep the closing velocities from being 0, shape (m + c,) or (0,).
-        lags: True if some coefficient lags behind its command.
-        over_travel: True if motion ratios of adjustable dampers change with travel, or if elements are set.
+        size: number of commands per run.
+        closing: map from (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows of active
+            actuators, and of the travels and states of voltage-controlled elements, are 0. The shape is (0, nq + nv) without
+            semi-active dampers.
+        at_rest: small offsets that keep the closing velocities different from 0, shape (m + c,) or (0,).
+        lags: True if a coefficient lags behind its command.
+        over_travel: True if the motion ratios of semi-active dampers change with travel, or if there are voltage-controlled
+            elements.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], readout: "Readout") -> None:
@@ -64,7 +67,7 @@ class Actuators:
         self.at_rest = np.pad(self._of.at_rest, (0, more))
         self.closing[: self.forces][adjustable, -readout.stretching_rates.shape[1] :] = -readout.stretching_rates[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
-        # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
+        # The ramps of damper characteristics are the last actuators of the model. They receive the commands of their dampers.
         ramps = {
             one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
         }
@@ -72,16 +75,22 @@ class Actuators:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
     def turn(self, closing: Array, deflections: Array) -> None:
-        """Multiplies the closing velocities of dampers, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
+        """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0), in place.
 
         Args:
+            closing: closing velocities with the motion ratios in equilibrium, shape (N, m).
             deflections: deflections of all suspensions [m], shape (N, s).
         """
         if self._of is not None:
             closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
 
     def of_elements(self, deflections: Array, own: Array) -> Array:
-        """Returns travels and states of the elements that are set, shape (N, c), from the own states of all parts, (N, k)."""
+        """Returns the travels and states of the voltage-controlled elements, shape (N, c).
+
+        Args:
+            deflections: deflections of all suspensions [m], shape (N, s).
+            own: states of the vehicle's parts, shape (N, k).
+        """
         assert self._of is not None, "a vehicle with adjustable dampers"
         return np.concatenate([np.zeros((len(own), 0)), *self._of.of_elements(deflections, own)], axis=-1)
 
@@ -89,7 +98,8 @@ class Actuators:
         """Returns the commands of some of the runs, shape (d, size).
 
         Args:
-            requested: requests of their driver, see `sim.drive.driver.Driver`.
+            requested: requests of the runs' driver, see `sim.drive.driver.Driver`.
+            requests: meaning of the requests: "forces", "coefficients" or "commands".
             closing: closing velocities [m/s], shape (d, m) or (d, 0).
             which: indices of the runs.
         """
@@ -100,17 +110,18 @@ class Actuators:
         return self._of.commands(np.concatenate([requested, closing], axis=-1), which)
 
     def apply(self, controls: Array, commands: Array) -> None:
-        """Sets MuJoCo's controls, shape (N, nu), of which the actuators are the first."""
+        """Sets MuJoCo's controls, shape (N, nu). The actuators of the commands come first."""
         controls[:, : self.forces] = commands[:, : self.forces]
         if len(self._ramps):
             controls[:, -len(self._ramps) :] = commands[:, self._ramps]
 
     def record(self, values: Array, commands: Array, activations: Array) -> None:
-        """Writes the dampers' signals among those of some samples, shape (B, S, N).
+        """Writes the signals of semi-active dampers to the signals of several samples.
 
         Args:
-            commands: shape (B, N, size).
-            activations: MuJoCo's, shape (B, N, na), or (0, N, na) if no coefficient lags.
+            values: signals of the samples, shape (B, S, N), changed in place.
+            commands: commands at the samples, shape (B, N, size).
+            activations: MuJoCo's activations, shape (B, N, na), or (0, N, na) if no coefficient lags.
         """
         if self._of is None:
             return
@@ -122,7 +133,8 @@ class Actuators:
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            several = one.damper.pair is not None or one.force in self._ratios.over_travel  # actuators that give its force
+            # several actuators together give the damper's force
+            several = one.damper.pair is not None or one.force in self._ratios.over_travel
             if several and one.damper.replaces:
                 deflection, velocity = parts[one.force]
                 speeds = self._ratios.of(one.force, values[:, deflection]) * values[:, names.index(velocity)]

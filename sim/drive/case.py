@@ -1,4 +1,4 @@
-"""Runs to drive, and a batch of runs that are stepped side by side."""
+"""Cases to simulate (vehicle, controller and road), and a batch of cases that are simulated together."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,13 +15,14 @@ from synth.controller.controller import Controller
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of a run at its start, for forces without adjustable dampers.
+    """State at the start of a run, for vehicles without semi-active dampers.
 
     Attributes:
-        motion: positions and velocities of MuJoCo, own states of parts, and activations, shape (nq + nv + k + na,).
-        acting_forces: the forces that acted before [N], shape (m,).
-        law, undelayed_forces: states of the controller, and of the second one, as they are run.
-        pending_forces: forces that do not act yet, or act at the start of the first sample, the next first [N], shape (d, m).
+        motion: positions and velocities of MuJoCo, states of the vehicle's parts, and activations, shape (nq + nv + k + na,).
+        acting_forces: forces that act before the first sample [N], shape (m,).
+        law, undelayed_forces: states of the controller and of the second controller, in their discrete form.
+        pending_forces: delayed forces that have not acted yet, or first act at the first sample, the next one first [N], shape
+            (d, m).
     """
 
     motion: Array
@@ -33,16 +34,17 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One run.
+    """A single run: vehicle, controller and road.
 
     Attributes:
         vehicle: the vehicle, with its limits and the implementation of its controller.
-        driver: controller, or known commands.
-        road: the road, with loads on the body if there are any.
-        start: state at the start; None for rest, or for the steady motion in which a measured road starts.
-        undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first, or None.
-        earlier: see `RoadInput`.
-        input: the road at the sample times, if it is computed already; None otherwise.
+        driver: controller, or commands that are known in advance.
+        road: the road, with the loads on the body if there are any.
+        start: state at the start. None means equilibrium, or the steady motion in which a measured road starts.
+        undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first; None
+            if there is no second controller.
+        earlier: argument of `RoadInput`.
+        input: the road at the sample times, if it is already computed; otherwise None.
     """
 
     vehicle: Vehicle
@@ -55,7 +57,7 @@ class Case:
 
 
 def inputs_of(cases: Sequence[Case], time: Array) -> list[RoadInput]:
-    """Returns the roads of some cases at sample times [s], one for all cases with the same vehicle and road."""
+    """Returns the road inputs of cases at sample times [s]. Cases with the same vehicle and road share one input."""
     made = dict[tuple[int, int, bool], RoadInput]()
     for one in cases:
         key = id(one.vehicle), id(one.road), one.earlier
@@ -65,23 +67,26 @@ def inputs_of(cases: Sequence[Case], time: Array) -> list[RoadInput]:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """N cases that are stepped side by side, at the same sample times.
+    """Batch of N cases that are simulated together, at the same sample times.
 
     Attributes:
-        cases: N cases, with vehicles of one kind that read out alike, see `reads_out`.
-        inputs: their roads at the samples.
+        cases: the N cases. All vehicles have the same type and the same map from MuJoCo's state to signals, see `reads_out`.
+        inputs: road input of each case.
         now: road heights at the samples [m], shape (T, N, r).
-        midway: heights at which MuJoCo holds them over the steps.
-        beyond: road heights at the samples after the last [m], shape (E, N, r), as far as controllers preview them.
-        velocities: rates of the heights at the samples [m/s], shape (T, N, r); None if no observer needs them.
-        held_inputs: effects beside the road's heights that MuJoCo holds over steps, see `RoadInput.held_inputs`, shape (T, N, l)
-            or (T, N, l + r); None if there are none.
-        effects: loads in the signals of the samples and in the measurements, see `RoadInput.in_signals`; None without loads.
-        sides: road heights on the other side of vertical edges [m], shape (N, r), by sample.
-        failures: failures of laws in Python by run: such a run continues without forces. None to raise the first failure.
-        numbers: numbers of the runs among all cases, which `failures` has.
-        diverged: time at which each run diverged in the blocks so far [s], shape (N,), or infinity.
-        law_diverged: True for each of these that diverged by the states of its law alone, see `Block.law_diverged`, shape (N,).
+        midway: road heights at which MuJoCo holds the road during each step [m], shape (T, N, r).
+        beyond: road heights at the samples after the last one [m], shape (E, N, r), as far as controllers preview them.
+        velocities: rates of the road heights at the samples [m/s], shape (T, N, r); None if they are not needed.
+        held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
+            r); None if there are none.
+        effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None
+            without loads.
+        sides: road heights on the other side of vertical edges [m], shape (N, r), by index of the sample.
+        failures: failures of Python control laws, by run. A run with a failed law continues without forces. If it is None, the
+            first failure is raised.
+        numbers: index of each run among all cases; the keys of `failures`.
+        diverged: time at which each run has diverged so far [s], shape (N,); infinity if it has not.
+        law_diverged: True for each run that diverged only because of the states of its law, see `Block.law_diverged`, shape
+            (N,).
     """
 
     cases: Sequence[Case]
@@ -100,26 +105,26 @@ class Batch:
 
     @property
     def time(self) -> Array:
-        """The sample times [s], shape (T,)."""
+        """Sample times [s], shape (T,)."""
         return self.inputs[0].time
 
     @property
     def timestep(self) -> float:
-        """The timestep [s]."""
+        """Time step [s]."""
         return self.inputs[0].timestep
 
     @cached_property
     def vehicles(self) -> list[Vehicle]:
-        """The vehicles."""
+        """Vehicle of each case."""
         return [one.vehicle for one in self.cases]
 
     @cached_property
     def drivers(self) -> list[RunDriver]:
-        """The controllers, or known commands."""
+        """Controller, or known commands, of each case."""
         return [one.driver for one in self.cases]
 
     def part(self, runs: slice) -> "Batch":
-        """Returns the batch of some of the runs."""
+        """Returns the batch with some of the runs."""
         arrays = {name: getattr(self, name)[:, runs] for name in ("now", "midway", "beyond")}
         more = {name: None if (one := getattr(self, name)) is None else one[:, runs] for name in ("velocities", "held_inputs")}
         return replace(
@@ -136,7 +141,7 @@ class Batch:
         )
 
     def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
-        """Yields every run that does not start from rest at 0, by index, with its signals in steady motion, shape (B, S)."""
+        """Yields the index of every run that starts in steady motion, with its steady signals, shape (B, S)."""
         for i, road in enumerate(self.inputs):
             if (steady := road.steady_signals(self.time[samples])) is not None:
                 yield i, steady
@@ -149,12 +154,12 @@ def batch_of(
     streamed: bool = False,
     failures: dict[int, Failure] | None = None,
 ) -> Batch:
-    """Returns the batch of some cases at sample times from 0 [s].
+    """Returns the batch of several cases at sample times from 0 [s].
 
     Args:
-        numbers: their numbers among all cases.
-        streamed: True if the inputs need not keep their roads, which would take the memory of all samples twice.
-        failures: receives the failures of laws in Python; None to raise the first one.
+        numbers: indices of the cases among all cases.
+        streamed: True for inputs that do not store their road heights. This avoids storing all samples twice.
+        failures: dictionary that receives the failures of Python control laws; None to raise the first failure.
     """
     inputs, vehicles = inputs_of(cases, time), [one.vehicle for one in cases]
     ahead, count = steps_ahead(vehicles, [one.driver for one in cases], inputs[0].timestep), len(cases)
@@ -167,7 +172,8 @@ def batch_of(
             if isinstance(road.relative_road, Departure):
                 heights[1::2, i] = road.held_heights(halves[1::2])
         now, midway, beyond = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2], heights[2 * len(time) :: 2]
-        if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
+        # a damping tyre leaves the road at a certain force, which depends on these velocities
+        if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):
             velocities = np.stack([road.velocities for road in inputs], axis=1)
     else:
         same = _same_roads(inputs) if count > 1 else inputs
@@ -199,11 +205,11 @@ def batch_of(
     )
 
 
-ROAD_ARRAYS = ("heights", "midway", "velocities")  # of `RoadInput`
+ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput`
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Replaces each road input by the first one with equal heights under its wheels, so that these are computed once."""
+    """Replaces each road input by the first one with the same heights under its wheels, so that they are computed only once."""
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]

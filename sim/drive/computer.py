@@ -1,4 +1,4 @@
-"""The controller's computer: it samples, measures with noise and quantisation, calls the driver, and delays its commands."""
+"""The controller's computer: it samples the signals with noise and quantisation, calls the driver, and delays its commands."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,16 +14,16 @@ from sim.drive.driver import Driver, RunDriver
 
 
 class Computer:
-    """Driver of some runs with one sample period, as their `[implementation]` runs it.
+    """Computer that runs the driver of several runs, as described in `[implementation]` of their vehicles.
 
-    A measurement is quantisation * round((signal + noise) / quantisation). The commands computed from it act `delay` samples
-    later, which may be a fraction. A rate limit acts on them before the delay. Commands are 0 before the first ones arrive. The
-    driver's states are never late.
+    A measurement is quantisation * round((signal + noise) / quantisation). The resulting commands act `delay` samples later;
+    this number may be a fraction. A rate limit acts on the commands before the delay. Commands are 0 until the first ones
+    arrive. The states of the driver are not delayed.
 
     Attributes:
-        driver: the driver.
-        runs: the runs among those of the batch.
-        period: timesteps from sample to sample.
+        driver: driver of the runs.
+        runs: indices of the runs in the batch.
+        period: number of time steps per sample.
         used: states of the driver at the last sample, shape (n, k).
     """
 
@@ -39,28 +39,29 @@ class Computer:
         timestep: float,
         samples: int,
     ) -> None:
-        """Starts the driver for its n vehicles, for a run of some samples.
+        """Starts the driver for its n vehicles.
 
         Args:
             vehicles, how: vehicle and implementation of each of the n runs.
             actuators: actuators of all runs of the batch.
-            names: names of the signals that `step` receives, before the closing velocities.
-            heights: road heights of these runs at the timesteps, and beyond the end as far as the driver looks [m], shape
-                (.., n, r).
-            timestep: timestep of the runs [s].
+            names: names of the signals that `step` receives, without the closing velocities that follow them.
+            heights: road heights of these runs at the time steps, continued beyond the end as far as the driver previews [m],
+                shape (.., n, r).
+            timestep: time step of the runs [s].
+            samples: number of time steps of the runs.
         """
         self.driver, self.runs, self._actuators, self._heights = driver, runs, actuators, heights
         self._limiter = None if driver.requests == "commands" else command_limiter(vehicles, timestep)
-        self._given = np.zeros((len(how), actuators.size))  # commands of the last sample, before their delay
+        self._given = np.zeros((len(how), actuators.size))  # commands of the last sample, before the delay
         self.period, closing = steps_per_sample(how[0], timestep), closing_names(vehicles[0])
         self._state = self.used = driver.start(vehicles, timestep)
         whole = (*names, *closing)
         self._places, self._signals = np.array([whole.index(name) for name in driver.measured], dtype=int), len(names)
         self._late, self._each = np.array([round(one.delay * self.period) for one in how]), np.arange(len(how))
-        self._changes = np.zeros(self.period, dtype=bool)  # phases of the sample period at which a command arrives
+        self._changes = np.zeros(self.period, dtype=bool)  # True for the phases of the sample period at which a command arrives
         self._changes[self._late % self.period] = True
         most = max(one.pending_forces for one in how)
-        self._waiting = np.zeros((most + 1, len(how), actuators.size))  # a ring, by sample
+        self._waiting = np.zeros((most + 1, len(how), actuators.size))  # ring buffer, indexed by sample
         self._all, self._at_once = isinstance(runs, slice), not most
         self._resolution = np.array([[one.quantisation.get(name, 0.0) for name in driver.measured] for one in how])
         self._step = np.where(self._resolution > 0, self._resolution, 1.0) if self._resolution.any() else None
@@ -69,21 +70,28 @@ class Computer:
         self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
 
     def resume(self, starts: Mapping[int, tuple[Array, Sequence[Array] | Array]], commands: Array) -> None:
-        """Sets the states and pending forces of its runs at the start, and the commands that act until the first arrive.
+        """Sets the states and the pending forces of runs at their start, and the commands that act until the first ones arrive.
 
         Args:
-            starts: state of the driver and pending forces of each run that does not start at rest, by its number in the batch.
-            commands: commands of all runs of the batch, shape (N, size), which change in place.
+            starts: state of the driver and pending forces of each run that does not start in equilibrium, by index in the
+                batch.
+            commands: commands of all runs of the batch, shape (N, size), changed in place.
         """
         for i, number in enumerate(np.arange(len(commands))[self.runs].tolist()):
             state, forces = starts.get(number, ((), []))
             self._state[i, : len(state)] = state
             if len(forces):
-                self._waiting[-len(forces) :, i] = forces  # before sample 0
+                self._waiting[-len(forces) :, i] = forces  # computed before sample 0
                 commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
-        """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""
+        """Sets the commands of time step k from the signals and closing velocities at its start.
+
+        Args:
+            k: index of the time step.
+            signals: signals and closing velocities of all runs, shape (N, S).
+            commands: commands of all runs, shape (N, size), changed in place.
+        """
         sample, phase = divmod(k, self.period)
         if not phase:
             seen = signals if self._all else signals[self.runs]
@@ -108,11 +116,12 @@ class Computer:
                 return
             self._waiting[sample % len(self._waiting)] = computed
         if self._changes[phase] and not self._at_once:
-            due = (k - self._late) // self.period % len(self._waiting)  # before the first arrives, its place in the ring is 0
+            # before the first command arrives, its place in the ring buffer is 0
+            due = (k - self._late) // self.period % len(self._waiting)
             commands[self.runs] = self._waiting[due, self._each]
 
     def _check(self, shape: tuple[int, ...]) -> None:
-        """Refuses requests of a user's driver that have another shape than the actuators need."""
+        """Raises an InputError if the requests of a user's driver do not have the shape that the actuators need."""
         needed = len(self._each), self._actuators.size if self.driver.requests == "commands" else self._actuators.forces
         if shape != needed:
             raise InputError(
@@ -122,7 +131,7 @@ class Computer:
 
 
 def measurement_noise(how: Sequence[Implementation], names: Sequence[str], samples: int) -> Array:
-    """Returns the noise of N controllers on signals of these names, shape (samples, N, S), or (0, N, S) without any."""
+    """Returns the noise of N controllers on signals, shape (samples, N, S); shape (0, N, S) without noise."""
     rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
     noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
     for i, one in enumerate(how):
@@ -132,7 +141,10 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation around a controller: without what the law or its code has itself, none for known commands."""
+    """Returns the implementation around a controller, without the parts that the law or its code already contains.
+
+    Known commands have no implementation.
+    """
     how = vehicle.implementation
     if not controller.implemented:
         return Implementation()

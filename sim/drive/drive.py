@@ -1,12 +1,13 @@
-"""The MuJoCo response of one run or ten thousand: `drive` steps cases, and observers take their samples block by block.
+"""Simulation in MuJoCo of one run or of thousands: `drive` steps the cases, and observers receive their samples in blocks.
 
-It agrees with the analysis to the integrator's own error (RK4's, to the fourth power of the step), because
+The result agrees with linear analysis up to the error of RK4, which is proportional to the fourth power of the time step. Four
+measures ensure this:
 
-- the road is a mocap body that MuJoCo holds over a step, so it is put at `RoadInput.midway`: its height midway through the
-  step, and of a measured road the mean height over the step;
-- signals are read with the road's height at the sample;
-- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals are read with the load there;
-- the controller is sampled: it reads the signals once a step, and its force is held.
+- MuJoCo holds the road, a mocap body, over each step. The road is therefore placed at `RoadInput.midway`: its height midway
+  through the step or, for a measured road, its mean height over the step.
+- Signals are computed with the road height at the sample.
+- Loads on the body are also held over each step, at `RoadInput.held_loads`. Signals are computed with the load at the sample.
+- The controller is sampled: it receives the signals at each sample, and its force is held until the next sample.
 """
 
 import functools
@@ -25,23 +26,23 @@ from sim.drive.loop import Block, Loop
 from sim.drive.regime import BLOCK
 from sim.drive.sensor_readout import hardware, reads_out
 
-FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
+FEWEST = 4  # runs per thread; with fewer runs, numpy between the steps, one thread at a time, takes as long as the steps
 
 
 class Observer(Protocol):
-    """Object that takes the samples of a batch; a function makes it from the `Batch`."""
+    """Object that receives the samples of a batch. A function creates it from the `Batch`."""
 
     def take(self, block: Block) -> None:
-        """Takes the next block of samples."""
+        """Receives the next block of samples."""
         ...
 
     def result(self) -> Sequence[Any]:
-        """Returns what is known of each of the N runs after the last block."""
+        """Returns the result of each of the N runs after the last block."""
         ...
 
 
 class StoppedError(Exception):
-    """The runs were told to stop before their end."""
+    """The runs were stopped before their end."""
 
 
 def drive(
@@ -53,23 +54,24 @@ def drive(
     failures: dict[int, Failure] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[list[Any]]:
-    """Drives cases in MuJoCo, side by side as far as they can be stepped together.
+    """Simulates cases in MuJoCo. Cases that can be stepped together form a batch.
 
     Args:
-        cases: N runs.
+        cases: the N cases.
         time: equidistant sample times from 0 [s], shape (T,).
-        observers: functions that make an observer of a batch, such as the classes in `sim.observers`.
-        threads: largest number of threads, with `FEWEST` runs or more each; results do not depend on it. 0 means one per core.
-        streamed: True for blocks of `BLOCK` samples, without keeping roads whole; False for a single block.
-        failures: receives the failure of a law in Python by the number of its case, whose run goes on without forces; None to
-            raise the first one.
-        stopped: function that returns True to end the runs; called from time to time.
+        observers: functions that create an observer for a batch, for example the classes in `sim.observers`.
+        threads: largest number of threads; each has at least `FEWEST` runs. 0 means one per core. The results do not depend on
+            the number of threads.
+        streamed: True for blocks of `BLOCK` samples, without storing whole roads; False for a single block.
+        failures: dictionary that receives the failures of Python control laws, by index of the case. These runs continue
+            without forces. If it is None, the first failure is raised.
+        stopped: function that returns True to stop the runs; it is called regularly.
 
     Returns:
-        For each observer its results, one for each case.
+        For each observer, a list with its result for each case.
 
     Raises:
-        InputError: a law in Python fails.
+        InputError: a Python control law fails.
         StoppedError: `stopped` returned True.
     """
     results: list[dict[int, Any]] = [{} for _ in observers]
@@ -94,7 +96,7 @@ def drive(
 
 
 def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
-    """Returns the numbers of the cases that can be stepped side by side, group by group."""
+    """Returns the indices of the cases that can be stepped together, group by group."""
     distinct = {id(one.vehicle): one.vehicle for one in cases}
     if len(distinct) == 1:
         return [[*range(len(cases))]]
@@ -108,10 +110,10 @@ def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
 
 
 def _shares(count: int, threads: int) -> list[slice]:
-    """Splits runs evenly among threads.
+    """Splits the runs evenly among threads.
 
-    Each share has its batch and thread. That is faster than one batch on all threads: those wait while Python has its turn, and
-    on a busy machine for each other.
+    Each thread has its own batch. This is faster than a single batch on all threads. The threads of a single batch wait for
+    each other, and while Python runs.
     """
     shares = min(threads, count // FEWEST)
     if shares <= 1:
@@ -123,7 +125,7 @@ def _shares(count: int, threads: int) -> list[slice]:
 def _results_of(
     loop: Loop, batch: Batch, edges: Sequence[int], observers: Sequence[Callable[[Batch], Observer]], stopped: Callable[[], bool]
 ) -> list[Sequence[Any]]:
-    """Returns the results of all observers of a batch, or of a part."""
+    """Returns the results of all observers for a batch, or for a part of it."""
     watching = [make(batch) for make in observers]
     for block in _complete_blocks(loop, batch, edges, stopped):
         for one in watching:
@@ -132,7 +134,10 @@ def _results_of(
 
 
 def _complete_blocks(loop: Loop, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
-    """Yields the blocks with the road's velocities and the steady motion; values of runs that have diverged are finite."""
+    """Yields the blocks with road velocities and steady motion added.
+
+    The values of diverged runs are replaced by finite values.
+    """
     kind, end = batch.vehicles[0].kind, 0
     names = [signal.name for signal in kind.signals]
     roads = [names.index(wheel.road_velocity) for wheel in kind.wheels]

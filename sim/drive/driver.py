@@ -1,7 +1,7 @@
-"""Protocol of drivers of N runs side by side, from measurements to requests. `sim.drive.drivers` has one file for each driver.
+"""Protocol of drivers, which compute requests from the measurements of N runs. Each driver has a file in `sim.drive.drivers`.
 
-A driver receives the measurements after noise and quantisation. The request that it returns passes through the computer's delay
-(`sim.drive.computer`) and the actuators (`sim.drive.actuators`).
+A driver receives the measurements with noise and quantisation. The requests of a driver pass through the delay of the computer
+(`sim.drive.computer`) and through the actuators (`sim.drive.actuators`).
 """
 
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ Request = Literal["forces", "coefficients", "commands"]
 
 @runtime_checkable
 class Driver(Protocol):
-    """Control law of N runs; a single run is N = 1.
+    """Control law of N runs that are simulated together. For a single run, N is 1.
 
-    `sim.run` takes an object with these attributes and methods as a controller. `start` begins each repetition of a run, so a
-    driver that keeps anything to itself has to reset it there.
+    `sim.run` accepts an object with these attributes and methods as a controller. `start` is called before each repetition of a
+    run, so a driver with internal data must reset it there.
 
     Example:
         >>> import numpy as np
@@ -38,59 +38,58 @@ class Driver(Protocol):
         >>> [smoothed] = run(read_vehicle("quarter_car"), Smoothed(), Bump(height=0.05), duration=1.0)
         >>> smoothed.passed
         True
-
     """
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Names of the q signals that it reads, in their order.
+        """Names of the q measured signals, in their order.
 
-        Names of `sim.drive.actuators.closing_names` are those of the closing velocities of suspensions [m/s].
+        The names in `sim.drive.actuators.closing_names` stand for the closing velocities of the suspensions [m/s].
         """
         ...
 
     @property
     def ahead(self) -> int:
-        """Number P of road heights that it reads under each wheel, the present one included; 0 without preview."""
+        """Number P of road heights that the driver receives for each wheel, including the present height; 0 without preview."""
         ...
 
     @property
     def requests(self) -> str:
-        """Meaning of what it returns.
+        """Meaning of the requests that `step` returns.
 
-        "forces" [N] and "coefficients" of all dampers [N s/m] have shape (N, m), and actuators limit them. "commands" are applied
-        unchanged, see `sim.drive.actuators.Actuators`.
+        "forces" [N], and "coefficients" of all dampers [N s/m], have shape (N, m), and the actuators limit them. "commands" are
+        applied unchanged, see `sim.drive.actuators.Actuators`.
         """
         ...
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """Returns the states before the first sample, shape (N, k); k is 0 for laws that keep their states to themselves.
+        """Returns the states before the first sample, shape (N, k). If a law stores its states itself, k is 0.
 
         Args:
             vehicles: the N vehicles, all with the same sample period.
-            timestep: timestep of the runs [s].
+            timestep: time step of the runs [s].
         """
         ...
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """Returns the requests of a sample and the states after it.
+        """Returns the requests of a sample, and the states after this sample.
 
         Args:
-            k: timestep of the sample, from 0.
+            k: index of the time step, from 0.
             y: measurements, shape (N, q).
-            ahead: heights of the road at this and the next samples [m], shape (N, r, P), or None without preview.
-            state: states, shape (N, k).
+            ahead: road heights under the wheels at this and the next samples [m], shape (N, r, P); None without preview.
+            state: states of the driver before this sample, shape (N, k).
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedForces(ControlLaw):
-    """Commands that are known beforehand, whatever the measurements.
+    """Commands that are known in advance and do not depend on the measurements.
 
     Attributes:
         measured: measurements of the original controller.
-        forces: forces at every timestep [N], shape (T, m), or commands of adjustable dampers, shape (T, 2 m).
+        forces: forces at every time step [N], shape (T, m), or commands of semi-active dampers, shape (T, 2 m).
     """
 
     linear: ClassVar[Literal[False]] = False
@@ -101,20 +100,20 @@ class RecordedForces(ControlLaw):
 
     @property
     def law_key(self) -> DriverKey:
-        """See `ControlLaw`."""
+        """Key of the driver; see `ControlLaw`."""
         return ("recorded",)
 
 
-RunDriver = AnyController | RecordedForces  # a controller or known commands, for one run
+RunDriver = AnyController | RecordedForces  # a controller, or known commands, of one run
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Failure of the law of a run.
+    """Failure of the control law of a run.
 
     Attributes:
-        why: reason, in one line.
-        together: True if the law was called for several runs at once, so another of them may have caused the failure.
+        why: reason, as one line of text.
+        together: True if one call of the law served several runs, so that another run may have caused the failure.
     """
 
     why: str
@@ -122,7 +121,7 @@ class Failure:
 
 
 def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], timestep: float) -> int:
-    """Returns the largest number of timesteps [s] by which a controller previews its road beyond a run's end."""
+    """Returns the largest number of time steps by which a controller previews the road beyond the end of a run."""
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
     return max((max(one.preview_samples(steps * timestep) - 1, 0) * steps for one, steps in pairs), default=0)

@@ -1,12 +1,15 @@
-"""Jumps of signals at the samples, where a held force changes, or the held coefficient of an adjustable damper.
+"""Jumps of signals at the samples, due to changes of a held force or of the held coefficient of a semi-active damper.
 
-A decision is such a jump by an adjustable damper, or of a force that is held for longer than a timestep. Peaks count the values
-on both sides of decisions and of vertical edges (`Response.before`), and nothing interpolates over them. A force that changes at
-every timestep stands for one that never jumps: of its signals, the values just after the jumps count.
+Such a jump is called a decision if it is due to a semi-active damper, or to a force that is held for more than one time step.
+Peaks include the values on both sides of decisions and of vertical edges of the road (`Response.before`), and nothing
+interpolates across them. A force that changes at every time step approximates a continuous force. For its signals, only the
+values just after the jumps count.
 
-A run's signal at a sample is its value just after the jump, with the new force. Just before, it was less by D (u[k] - u[k-1]),
-with D of (28). For an adjustable damper, whose coefficient c is held while the velocity v of the suspension changes, u jumps by
--(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with travel does not jump, but scales both."""
+The signal at a sample is its value just after the jump, with the new force. The value just before is smaller by D (u[k] -
+u[k-1]), with D of (28). For a semi-active damper, the coefficient c is held while the velocity v of the suspension changes, so
+u jumps by -(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with travel does not jump, but it
+scales v and the effect of u.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,11 +25,13 @@ from sim.drive.response import Response
 
 
 def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
-    """Returns the response with its values just before decisions in `before`, but for samples at vertical edges of the road.
+    """Returns the response with the values just before decisions in `before`.
+
+    Values at vertical edges of the road are kept.
 
     Args:
-        response: N runs, or a single one of one vehicle.
-        vehicles: N vehicles of one kind.
+        response: response of N runs, or of a single run.
+        vehicles: the N vehicles, all of the same type.
     """
     timestep = float(response.time[1] - response.time[0])
     decides = np.array([bool(one.dampers) or steps_per_sample(one.implementation, timestep) > 1 for one in vehicles])
@@ -42,10 +47,10 @@ def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
 
 
 class Jumps:
-    """Jumps of forces and accelerations, for N runs of one kind of vehicle, block by block."""
+    """Jumps of forces and accelerations for N runs with the same vehicle type, block by block."""
 
     def __init__(self, vehicles: Sequence[Vehicle], signals: Sequence[str]) -> None:
-        """Prepares the jumps of some output signals."""
+        """Prepares the jumps of the given output signals."""
         vehicle = vehicles[0]
         index = {signal.name: i for i, signal in enumerate(vehicle.kind.signals)}
         model, forces, outputs = vehicle.linear_model, vehicle.linear_model.inputs, vehicle.linear_model.outputs
@@ -59,7 +64,7 @@ class Jumps:
             range_of = FEATURES.load("damper ranges").range_of
             self.elements = {forces[one.column]: one for one in range_of(vehicles).elements}
         self.places = index
-        # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
+        # Velocity of each damper's suspension, as factors of the states by index. Vehicles in a batch have the same geometry.
         rows = {
             force: one.ratio * model.A[model.states.index(vehicle.kind.deflection_of(force))] for force, one in dampers.items()
         }
@@ -70,7 +75,7 @@ class Jumps:
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)
         D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # (p, m, N)
-        # Jump of every signal per newton of each force, shape (N, 1).
+        # Jump of each signal per newton of each force, shape (N, 1).
         self.shares = {
             name: {
                 force: D[outputs.index(name), j][:, None]
@@ -80,11 +85,11 @@ class Jumps:
             for name in signals
         }
         self.index = {force: index[force] for force in forces if any(force in shares for shares in self.shares.values())}
-        self.before: dict[int, Array] = {}  # last sample of the previous block, by place, shape (N, 1)
+        self.before: dict[int, Array] = {}  # last sample of the previous block, by index of the signal, shape (N, 1)
 
     def __call__(self, values: Array) -> dict[str, Array]:
         """Returns the jumps of each signal that jumps, shape (N, B), for the next block of signals, shape (B, S, N)."""
-        # Motion ratios that change with travel, over those at rest, shape (N, B).
+        # Motion ratios that change with travel, relative to those in equilibrium, shape (N, B).
         ratios = {force: self.ratios.turn(force, values[:, place]).T for force, place in self.along.items()}
         of_force = {force: self._jump(force, values, ratios.get(force, 1.0)) for force in self.index}
         jumps = {}
@@ -108,12 +113,12 @@ class Jumps:
         return -self._change(self.coefficient[force], values) * np.stack(shaped)
 
     def _change(self, place: int, values: Array) -> Array:
-        """Returns the change of a signal since the last sample, shape (N, B)."""
+        """Returns the change of a signal since the previous sample, shape (N, B)."""
         now, last = self._pair(place, values)
         return now - last
 
     def _pair(self, place: int, values: Array) -> tuple[Array, Array]:
-        """Returns a signal, and the signal at the last sample, shapes (N, B)."""
+        """Returns a signal, and its value at the previous sample, shapes (N, B)."""
         now = values[:, place].T
         last = np.concatenate([self.before.get(place, now[:, :1]), now[:, :-1]], axis=1)
         self.before[place] = now[:, -1:].copy()

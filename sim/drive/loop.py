@@ -1,4 +1,4 @@
-"""N runs in MuJoCo, in blocks of samples: measurements, commands, steps, and recorded signals."""
+"""Simulation loop of N runs in MuJoCo, in blocks of samples: measurements, commands, steps, and recorded signals."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
@@ -35,28 +35,30 @@ from sim.drive.sensor_readout import (
 if TYPE_CHECKING:
     from sim.drive.part_steps import PartBatch
 
-DIVERGENCE_LIMIT = 1e8  # of any signal, in SI units: beyond it the run has diverged
+DIVERGENCE_LIMIT = 1e8  # limit for every signal, in SI units; a run that exceeds it has diverged
 
-MOST_HEIGHTS = 5_200_000  # road heights of runs in blocks, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
+# largest number of road heights of runs in blocks, with 16 bytes each: 256 quarter-cars for 20 s at 1 ms
+MOST_HEIGHTS = 5_200_000
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Consecutive samples of N runs.
+    """Block of consecutive samples of N runs.
 
     Attributes:
         start: index of the first sample.
-        values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
-        qpos: generalized positions, shape (B, N, nq).
-        qvel: generalized velocities, shape (B, N, nv).
-        largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
-        overflowed: True where a requested force or a state of the law is not finite, shape (B, N).
+        values: all signals except the road velocity, which remains 0, shape (B, S, N). The last axis is the runs.
+        qpos: MuJoCo's generalised positions, shape (B, N, nq).
+        qvel: MuJoCo's generalised velocities, shape (B, N, nv).
+        largest: largest magnitude of the signals (without missing forces) and of the requested forces that no limit clips,
+            shape (B, N).
+        overflowed: True if a requested force or a state of the law is not finite, shape (B, N).
         requested_force: commands of the actuators, see `sim.drive.actuators`, shape (B, N, m) or (B, N, 2 m).
-        law_states: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
-        measured: signals at the controllers' samples as they are read, without noise and quantisation, then closing velocities,
-            shape (B, N, s); NaN at the other timesteps.
-        names: names of `measured`.
-        others: signals on the other side of vertical edges of the road, shape (S, N), by sample.
+        law_states: states of linear laws at their last sample, shape (B, N, k), where k is the largest number of states.
+        measured: signals at the samples of the controllers, before noise and quantisation, followed by the closing velocities,
+            shape (B, N, s); NaN at other time steps.
+        names: names of the signals in `measured`.
+        others: signals on the other side of vertical edges of the road, shape (S, N), by index of the sample.
     """
 
     start: int
@@ -72,28 +74,34 @@ class Block:
     others: Mapping[int, Array] = field(default_factory=dict[int, Array])
 
     def diverged(self, time: Array) -> Array:
-        """Returns the time at which each run first diverged in the block [s], shape (N,), or infinity; from all the samples'
-        times.
+        """Returns the time at which each run first diverged in this block [s], shape (N,), or infinity.
+
+        Args:
+            time: all sample times [s], shape (T,).
         """
         wild = self._beyond_limits
         return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
 
     @property
     def law_diverged(self) -> Array:
-        """Returns True for each run that first diverged in the block by the states of its law alone, shape (N,).
+        """True for each run that first diverged in this block only because of the states of its law, shape (N,).
 
-        These states overflowed while each physical signal was still within `DIVERGENCE_LIMIT`.
+        The states of the law overflowed while all physical signals were still within `DIVERGENCE_LIMIT`.
         """
         wild, runs = self._beyond_limits, np.arange(self.largest.shape[1])
         return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGENCE_LIMIT)
 
     @property
     def _beyond_limits(self) -> Array:
-        """Returns True at the samples that a run does not go beyond, shape (B, N)."""
-        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed  # NaN compares as wild
+        """True at the samples at which a run is beyond its limits, shape (B, N)."""
+        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed  # NaN counts as beyond the limit
 
     def clip(self, gone: Array) -> None:
-        """Clips values at the samples of a mask, shape (B, N), to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0."""
+        """Clips the values at the samples of a mask to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0.
+
+        Args:
+            gone: True at the samples to clip, shape (B, N).
+        """
         runs = gone.any(axis=0)
         values = self.values[..., runs]
         finite = np.clip(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), -DIVERGENCE_LIMIT, DIVERGENCE_LIMIT)
@@ -101,19 +109,25 @@ class Block:
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """Returns the largest useful number of runs of so many samples in a batch of blocks, limited by memory."""
+    """Returns the largest useful number of runs in a batch of blocks, which memory limits.
+
+    Args:
+        samples: number of samples per run.
+        wheels: number of wheels per vehicle.
+    """
     return max(1, min(RUNS_AT_ONCE, MOST_HEIGHTS // (samples * wheels)))
 
 
 class Loop:
-    """The simulation loop: read, compute, apply, move the road, step.
+    """Simulation loop: measure, compute the commands, apply them, move the road, step.
 
-    The numbers of a run are the same bit for bit, whatever runs of its controller are beside it, and however they are shared or
-    cut into blocks: no product of matrices has an order of summation that depends on the number of runs.
+    The results of a run are reproducible bit for bit. The results do not depend on the other runs in the batch, the number of
+    threads, or the size of the blocks. This is why no matrix product has an order of summation that depends on the number of
+    runs.
     """
 
     def __init__(self, batch: Batch) -> None:
-        """Prepares what all parts of a batch have in common."""
+        """Prepares the data that all parts of a batch share."""
         first, timestep = batch.vehicles[0], batch.timestep
         self.timestep = timestep
         self.model, self.readout = prepared_readout(first, timestep)
@@ -124,8 +138,8 @@ class Loop:
             one_of = {self.hardware[key]: other for key, other in distinct.items()}
             if len(one_of) > 1:
                 self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
-        # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road
-        # that the reading lacks is added.
+        # A measurement is taken before a step: from the state if it is linear in the state, otherwise from its sensor. The
+        # contribution of the road is added if it is missing there.
         readout = self.readout
         controllers = [one for case in batch.cases for one in (case.driver, case.undelayed_controller) if one is not None]
         named = {name for one in controllers for name in one.measured}
@@ -133,9 +147,9 @@ class Loop:
         self.stage = sensed_stage(readout, np.isin(readout.names, [*named]))
         of_sensors = [i for i in self.seen if not readout.linear[i]]
         self.sensors = _span(readout.of_sensors[of_sensors]) if self.stage else slice(0, 0)
-        # An acceleration is read in a separate evaluation, with the present road and the force that has acted until now.
+        # Accelerations are measured in a separate evaluation, with the present road and the force that has acted until now.
         self.fresh = self.stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-        self.after = 0 if self.fresh else self.stage  # what is evaluated after a step for the next reading
+        self.after = 0 if self.fresh else self.stage  # stage to which MuJoCo is evaluated after a step for the next measurement
 
     def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
         """Returns the started computers of a batch, and those of its second controllers without implementation."""
@@ -155,7 +169,7 @@ class Loop:
         how: Sequence[Implementation],
         actuators: Actuators,
     ) -> list[Computer]:
-        """Returns the started computers of some runs: one per kind of driver and sample period, and none for passive runs."""
+        """Returns the started computers of runs: one per type of driver and sample period, and none for passive runs."""
         timestep, roads = batch.timestep, np.concatenate([batch.now, batch.beyond]) if len(batch.beyond) else batch.now
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
@@ -171,7 +185,7 @@ class Loop:
         return computers
 
     def _start(self, case: Case, vehicle: Vehicle) -> State | None:
-        """Returns the state in which a run starts, or None for rest."""
+        """Returns the state in which a run starts; None for equilibrium."""
         if case.start is not None or not vehicle.start:
             return case.start
         model, readout = self.model, self.readout
@@ -183,8 +197,9 @@ class Loop:
         return State(motion, np.zeros(len(vehicle.linear_model.inputs)), none, none, np.zeros((0, 0)))
 
     def _map(self, actuators: Actuators) -> Array:
-        """Returns the map from a reading, (qpos, qvel), part of `sensordata` and the parts' own states, to measured signals and
-        closing velocities.
+        """Returns the map to measured signals and closing velocities.
+
+        The map applies to (qpos, qvel), the used part of `sensordata`, and the states of the vehicle's parts.
         """
         readout, some = self.readout, self.seen
         linear = readout.linear[some][:, None]
@@ -201,22 +216,24 @@ class Loop:
         return np.concatenate([signals, closing])[None]
 
     def _unread(self, level: Array, before: Array, actuators: Actuators) -> Array:
-        """Returns what the measured signals and closing velocities contain beside a reading, shape (B, N, s + m)."""
+        """Returns the contributions to measured signals and closing velocities that the map lacks, shape (B, N, s + m)."""
         unmoved = np.zeros_like(level) if self.fresh else level - before
         signals = beside_reading(level, self.readout, self.seen, True) + beside_reading(unmoved, self.readout, self.seen, False)
         still = np.broadcast_to(actuators.at_rest, (*signals.shape[:2], len(actuators.at_rest)))
         return np.concatenate([signals, still], axis=-1)
 
     def blocks(self, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
-        """Yields the blocks of a batch, or of a part, without warnings of MuJoCo or numpy, until told to stop.
+        """Yields the blocks of a batch, or of a part of it, until stopped. Warnings of MuJoCo and numpy are suppressed.
 
         Args:
-            edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
+            edges: limits of the blocks; block k has the samples from `edges[k]` up to `edges[k + 1]`. The first limit is 0, and
+                the last is at most T.
+            stopped: function that returns True to stop the runs.
         """
         blocks = self._blocks(batch, edges, stopped)
         with quiet():
             while True:
-                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; its block says so
+                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow, which its block records
                     block = next(blocks, None)
                 if block is None:
                     return
@@ -233,13 +250,14 @@ class Loop:
         felt, of_reading = readout.has_road_feedthrough, self._map(actuators)
         controls, heights, sensors = physics.bind("ctrl"), physics.bind("mocap_pos")[:, :, 2], physics.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
-        motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")  # (qpos, qvel) after the time
+        # (qpos, qvel), which follow the time in the state
+        motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")
         own, sensed_to = states_of_parts(physics), width - readout.of_parts.shape[1]
         measured, held = physics.bind("sensordata")[:, self.sensors], batch.held_inputs
         pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.load_dofs), readout.damped_tyres
-        speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
+        speeds = [loads + wheel for wheel in wheels]  # columns of the road velocities in `held_inputs`
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
-        # Accelerations of runs with loads are others inside the step, under another load.
+        # Within a step, the accelerations of runs with loads belong to another load.
         late = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) > int(mujoco.mjtStage.mjSTAGE_VEL)
         loaded = np.zeros(count, dtype=bool) if held is None else held[..., :loads].any(axis=(0, 2))
         at_sample = np.ix_(late, loaded)
@@ -329,7 +347,7 @@ class Loop:
                     if in_signals is not None:
                         sensed[i + 1][at_sample] = under_load
             if self.after and not felt:
-                # The evaluation after a step has overwritten the step's own readings with those before the next step.
+                # The evaluation after a step has overwritten the sensor values before the step with those before the next step.
                 sensed[1:, early] = sensed[:-1, early]
             values = signals_of(sensed[1:], readings, level, midway[block], before, requested, acts)
             largest, overflowed = signals_of.extremes(values, requested, law_states)
@@ -338,7 +356,7 @@ class Loop:
 
 
 class _Signals:
-    """Signals of the samples, from what MuJoCo sensed: inside the step with the road midway, or before it with the last road."""
+    """Signals at the samples from MuJoCo's sensors, which are evaluated within a step, or before it."""
 
     def __init__(self, loop: Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
         readout, first = loop.readout, vehicles[0]
@@ -359,8 +377,12 @@ class _Signals:
 
         Args:
             sensed: MuJoCo's `sensordata`, shape (B, nsensordata, N).
-            readings: values that measurements are mapped from, shape (B, N, w); the last k columns are the own states of parts.
-            level, midway, before: road heights at the samples, during the steps from them and the steps to them, shape (B, N, r).
+            readings: values to which the map of measurements applies, shape (B, N, w). The last k columns are the states of the
+                parts.
+            level, midway, before: road heights at the samples, during the steps after them, and during the steps before them
+                [m], shape (B, N, r).
+            commands: commands at the samples, shape (B, N, size).
+            activations: MuJoCo's activations, see `Actuators.record`.
         """
         readout, place, inside = self.readout, self.place, self.inside
         values = np.zeros((len(sensed), len(place), sensed.shape[2]))
@@ -380,26 +402,31 @@ class _Signals:
         physical = values[:, self.physical]
         largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
         overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(law_states).all(axis=2)))
-        # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
+        # MuJoCo replaces a force above 1e10 by 0 and continues. Requested forces are therefore checked unless a limit clips
+        # them.
         for force, given in zip(np.moveaxis(commands, 2, 0), self.unclipped, strict=False):
             largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
         return largest, overflowed
 
 
 def _is_passive(controller: RunDriver, timestep: float) -> bool:
-    """Returns True for a linear law that depends on nothing, so that its forces are always 0."""
+    """Returns True for a linear law without measurements, states and preview, whose forces are always 0."""
     return controller.linear is True and not (
         controller.measured or controller.states or controller.preview_samples(timestep) or controller.code
     )
 
 
 def _acts_without_limit(vehicle: Vehicle) -> list[bool]:
-    """Returns True for every input whose requested force acts without a limit."""
+    """Returns, for every input, whether its requested force acts without a limit."""
     most = vehicle.limits.actuator_force
     return [force not in vehicle.dampers and (most is None or most >= DIVERGENCE_LIMIT) for force in vehicle.linear_model.inputs]
 
 
 def _span(of_sensors: Array) -> slice:
-    """Returns the part of `sensordata` that signals come from, by their rows of `Readout.of_sensors`."""
+    """Returns the part of `sensordata` on which signals depend.
+
+    Args:
+        of_sensors: rows of `Readout.of_sensors` for these signals.
+    """
     used = of_sensors.any(axis=0).nonzero()[0]
     return slice(int(used[0]), int(used[-1]) + 1) if len(used) else slice(0, 0)

@@ -1,8 +1,8 @@
-"""Steps of MuJoCo for vehicles with parts that MuJoCo has no element for.
+"""MuJoCo steps for vehicles with parts for which MuJoCo has no element.
 
-`Batch` runs no callbacks in Python. So each stage of RK4 is evaluated here: the parts give their pulls by the present deflections
-and velocities of the suspensions, and MuJoCo gives the accelerations under these pulls. One motor on the tendon of each such
-suspension pulls. The sum of the stages is that of `mj_RungeKutta`. All other forces are MuJoCo's.
+`Batch` does not run Python callbacks, so this module evaluates each stage of RK4 itself. The parts compute their forces from
+the present deflections and velocities of the suspensions. MuJoCo computes the accelerations with these forces. A motor on the
+tendon of each suspension applies them. The stages are added as in `mj_RungeKutta`. MuJoCo computes all other forces.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -25,15 +25,15 @@ from sim.drive.recursion import SHARES, WEIGHTS
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
 STAGE_WEIGHTS = np.reshape(WEIGHTS, (-1, 1, 1))
-UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls; large, so that rounding is small
-NEARBY = 1e-5  # s, along the present velocities, for how levers change: the error is its square
+UNIT = 1024.0  # N; force for the response of accelerations, which is linear in the force; a large force reduces rounding errors
+NEARBY = 1e-5  # s; time along the present velocities for the change of lever arms; the error is proportional to its square
 
 
 class PartBatch(Batch):
-    """Batch of N vehicles with parts on the same suspensions.
+    """Batch of N vehicles that have parts on the same suspensions.
 
     Attributes:
-        z: the parts' own states, 0 at first, shape (N, k).
+        z: states of the parts, initially 0, shape (N, k).
     """
 
     def __init__(
@@ -47,14 +47,16 @@ class PartBatch(Batch):
         """Prepares N runs.
 
         Args:
-            tendons: tendons of the s suspensions.
-            pulls: forces of parts, which act where the model has a motor on a tendon.
-            models: the model of each run, or none if all share one.
+            tendons: names of the tendons of the s suspensions.
+            pulls: forces of the parts; they act on suspensions whose tendon has a motor in the model.
+            count: number N of runs.
+            models: model of each run; empty if all runs share `model`.
         """
-        super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensors of the one before
+        super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensor values of the previous one
         if models:
             self.set_models(models)
-        # The later stages of a step are evaluated apart, so that the sensors stay those of its beginning, as after `mj_step`.
+        # The later stages of a step are evaluated in a separate batch. The sensors keep their values at the beginning of the
+        # step, as after `mj_step`.
         stages = Batch(model, count, 1)
         silent = {id(one): copy.copy(one) for one in models or [model]}
         for one in silent.values():
@@ -67,11 +69,12 @@ class PartBatch(Batch):
         pulled = [i for i, name in enumerate(names) if name in motors]
         self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
         self._inputs = _Inputs(model, models or [model])
-        # A suspension without a tendon in the model has the index -1, the last tendon's; without a motor nothing acts there.
+        # A suspension without a tendon in the model has the index -1, which is the last tendon. Without a motor, no force acts
+        # there.
         indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
         self._lengths = _Lengths(model, indices, models or [model])
         self._response: Array | None = None
-        ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # of the parts of a state: qpos, qvel, act, z
+        ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # ends of the parts of a state: qpos, qvel, act, z
         self._begin, self._x = _State(count, ends), _State(count, ends)
         self._rates = np.zeros((len(SHARES), count, ends[-1]))
         self._parts = [np.split(rates, ends[:-1], axis=1) for rates in self._rates]  # views
@@ -98,7 +101,7 @@ class PartBatch(Batch):
         x.all *= self._h
         x.all += begin.all
         self._here.motion[:], self.z[:] = x.motion, x.own
-        self.state[:, 0] += self._h  # the time
+        self.state[:, 0] += self._h  # time
         if stage:
             self.forward(stage=stage)
 
@@ -109,12 +112,12 @@ class PartBatch(Batch):
         return self._lengths(self._there, self._x)[0]
 
     def _start(self) -> None:
-        """Evaluates the present state, with its sensors."""
+        """Evaluates the present state, including its sensors."""
         self._begin.motion[:], self._begin.own[:] = self._here.motion, self.z
         self._evaluate(self._here, self._begin, 0)
 
     def _evaluate(self, bound: "_Bound", x: "_State", i: int) -> None:
-        """Sets the motors of a batch for its present state x, and the rates of stage i."""
+        """Sets the motors of a batch for its present state x, and computes the rates of stage i."""
         d, v = self._lengths(bound, x)
         inputs, z = self._inputs(bound), x.own
         pulls, own = self._pulls(d, v, inputs, z), self._pulls.rates(d, v, inputs, z)
@@ -126,9 +129,9 @@ class PartBatch(Batch):
             rate[:] = now
 
     def _accelerate(self, bound: "_Bound", b: Array) -> None:
-        """Evaluates the accelerations again, with the inertial parts, whose forces b l'' depend on these.
+        """Evaluates the accelerations again, with the inertial parts, whose forces p = b l'' depend on the accelerations.
 
-        Without them l'' is a; a pull p of theirs makes it a + R p. So p = b (a + R p).
+        Without inertial parts, l'' is a. The forces p of inertial parts change l'' to a + R p, so p = b (a + R p).
         """
         controls, qacc = bound.controls, np.array(bound.qacc)
         J, turning = self._lengths.jacobian(bound)
@@ -154,10 +157,15 @@ def _span(indices: Sequence[int]) -> slice | Array:
 
 
 class _State:
-    """The state of N runs, shape (N, nq + nv + na + k): `all`, and views of its parts."""
+    """State of N runs as one array `all`, shape (N, nq + nv + na + k), and views of its parts."""
 
     def __init__(self, count: int, ends: Array) -> None:
-        """Takes the ends of qpos, qvel, act and the parts' own states."""
+        """Allocates the state.
+
+        Args:
+            count: number N of runs.
+            ends: ends of qpos, qvel, act and the states of the parts in the last axis.
+        """
         self.all = np.zeros((count, ends[-1]))
         _, self.velocities, _, self.own = np.split(self.all, ends[:-1], axis=1)
         self.motion = self.all[:, : ends[2]]
@@ -165,19 +173,21 @@ class _State:
 
 
 class _Bound:
-    """A batch with its state, controls and what it evaluates, as views."""
+    """Views of a batch's state, controls and computed quantities."""
 
     def __init__(self, batch: Batch) -> None:
         model = batch.model
         self.batch = batch
-        self.motion = batch.state[:, 1 : 1 + model.nq + model.nv + model.na]  # qpos, qvel and act come after the time
+        # the time comes first, followed by qpos, qvel and act
+        self.motion = batch.state[:, 1 : 1 + model.nq + model.nv + model.na]
         self.controls, self.activations = batch.bind("ctrl"), batch.bind("act")
-        self.qacc, self.act_dot = batch.bind("qacc"), batch.bind("act_dot")  # only what was bound before is filled
+        # MuJoCo only fills arrays that were bound before the evaluation
+        self.qacc, self.act_dot = batch.bind("qacc"), batch.bind("act_dot")
         self.lengths, self.speeds, self.levers = (batch.bind(name) for name in ("ten_length", "ten_velocity", "ten_J"))
 
 
 class _Inputs:
-    """The acting inputs of N runs, of which MuJoCo clips controls and forces."""
+    """Inputs of N runs after MuJoCo's limits on controls and forces."""
 
     def __init__(self, model: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
         own = [i for i in range(model.nu) if not model.actuator(i).name.startswith(FITTED_PREFIX)]
@@ -202,17 +212,17 @@ class _Inputs:
 
     @staticmethod
     def _ranges(limited: Array, ranges: Sequence[Array]) -> tuple[Array, Array] | None:
-        """Returns the least and the largest values, shape (N, m) or (1, m); None if nothing is limited."""
+        """Returns the smallest and the largest allowed values, shape (N, m) or (1, m); None if nothing is limited."""
         low, high = np.where(limited[:, None], ranges, [-np.inf, np.inf]).transpose(2, 0, 1)
         return (low, high) if limited.any() else None
 
 
 class _Lengths:
-    """Lengths of s tendons from those at rest.
+    """Lengths of s tendons, relative to those in equilibrium.
 
     Attributes:
-        linear: True if they are sums of positions.
-        steady: True if masses are constant, too, so that a force always accelerates them by the same amount.
+        linear: True if the lengths are linear in the positions.
+        steady: True if, in addition, the mass matrix is constant, so that a force always causes the same acceleration.
     """
 
     def __init__(self, model: mujoco.MjModel, tendons: Sequence[int], models: Sequence[mujoco.MjModel]) -> None:
@@ -231,7 +241,7 @@ class _Lengths:
             self._constant = self._dense(np.array([data[id(one)].ten_J for one in models]))
 
     def __call__(self, bound: _Bound, x: _State) -> tuple[Array, Array]:
-        """Returns deflections [m] and velocities [m/s] at the present state x of a batch, shapes (N, s)."""
+        """Returns the deflections [m] and velocities [m/s] in the present state x of a batch, shapes (N, s)."""
         if self.linear:
             d, v = np.matvec(self._constant, x.moved)
             return d, v
@@ -241,7 +251,7 @@ class _Lengths:
     def jacobian(self, bound: _Bound) -> tuple[Array, Array]:
         """Returns the Jacobian J of the lengths, shape (N, s, nv) or (1, s, nv), and J' qvel [m/s2], shape (N, s).
 
-        J is that of the batch's last evaluation, which is at its present state. J' is a central difference.
+        J belongs to the last evaluation of the batch, in its present state. The time derivative J' is a central difference.
         """
         if self.linear:
             return self._constant, np.zeros((len(bound.qacc), len(self._tendons)))
@@ -255,7 +265,7 @@ class _Lengths:
         return J, (speeds[0] - speeds[1]) / (2 * NEARBY)
 
     def _dense(self, levers: Array) -> Array:
-        """Returns the Jacobian of the tendons, shape (N, s, nv), from MuJoCo's sparse one, shape (N, nJten)."""
+        """Returns the tendons' Jacobian as a dense array, shape (N, s, nv), from MuJoCo's sparse one, shape (N, nJten)."""
         J = np.zeros((len(levers), len(self._tendons), self._velocities.stop - self._velocities.start))
         J[:, *self._places] = levers[:, self._entries]
         return J

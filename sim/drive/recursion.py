@@ -1,4 +1,4 @@
-"""The first-order lag of an actuator in steps of RK4."""
+"""First-order lag of an actuator, integrated in steps of RK4."""
 
 from typing import Any
 
@@ -7,26 +7,26 @@ import numpy as np
 from models.common.arrays import Array, recursion
 
 SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
-WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the stages' rates
+WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights of the rates at these stages
 
 
 def lag_commands(commands: Array, z: Array) -> Array:
-    """Returns what lags behind commands at the samples, from 0, as RK4 integrates it, shape (T, m).
+    """Returns the lagging values at the samples, integrated by RK4 from 0, shape (T, m).
 
     Args:
-        commands: commands, held from each sample to the next, shape (T, m).
-        z: rate of every lag times the timestep, shape (m,); 0 for none: its command acts at once.
+        commands: commands that are held from each sample to the next, shape (T, m).
+        z: bandwidth of every lag times the time step, shape (m,). If it is 0, there is no lag.
     """
     way = way_in_step(z)
     return np.where(z > 0, recursion(np.diag(1 - way), way * commands), commands)
 
 
 def lag_stages(now: Array, z: Array) -> list[Array]:
-    """Returns what lags behind held commands in the four stages of every step of RK4, shape (T - 1, m) each.
+    """Returns the lagging values at the four stages of every RK4 step, as four arrays of shape (T - 1, m).
 
     Args:
-        now: values at the samples, shape (T, m); without a lag the commands.
-        z: product of lag and timestep, see `lag_commands`.
+        now: values at the samples, shape (T, m); these are the commands if there is no lag.
+        z: bandwidth of every lag times the time step, see `lag_commands`.
     """
     way, before, gone = way_in_step(z), now[:-1], np.zeros_like(now[:-1])
     change, stages = np.diff(now, axis=0) / np.where(way > 0, way, 1.0), list[Array]()
@@ -37,5 +37,9 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
 
 
 def way_in_step(z: Any) -> Any:
-    """Returns the share of the distance to its command that a lag covers in a step of RK4, from rate times timestep, (...)."""
+    """Returns the share of the distance to its command that a lag covers in an RK4 step.
+
+    Args:
+        z: bandwidth of the lag times the time step, any shape.
+    """
     return z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))

@@ -1,4 +1,4 @@
-"""Ends of the linear regime, and their times: a tyre off the ground, a suspension, actuator, damper or curve at its limit."""
+"""Ends of the linear regime with their times: lift-off, or a limit of a suspension, actuator, damper or characteristic."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,13 +19,15 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
-AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its limit is equal to it, to rounding
-# m; the stiffest tyre, compressed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
-# 0.1 m and more, as hubs are 0.3 m and more over their roads.
+AT = 1 - 1e-12  # share of a threshold that counts as reached, because a force at its limit equals the limit only up to rounding
+# Jump of a hub [m] that shows that the road has passed it within a step. Even the stiffest tyre, compressed nearly flat, moves
+# a hub by only 1 mm within 1 ms. After the road has passed the hub, the measurement jumps by at least 0.1 m, because hubs are
+# at least 0.3 m above their road.
 JUMP = 0.02
-RATE_REACHED = 1 - 1e-7  # share of a rate limit that counts as reached: behind a lag a command follows from rounded forces
-MISSING_FORCE = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
-BLOCK = 200  # samples per block of many runs, so that it stays in the cache
+# share of a rate limit that counts as reached, because a command behind a lag is computed from rounded forces
+RATE_REACHED = 1 - 1e-7
+MISSING_FORCE = 1e-3  # N; a smaller missing force of a semi-active damper is a rounding error
+BLOCK = 200  # samples per block of many runs, so that a block fits into the cache
 
 
 @dataclass(frozen=True)
@@ -35,10 +37,10 @@ class Threshold:
     Attributes:
         signal: name of the signal.
         sign: sign of the side with the limit; 0 for both.
-        value: limit of sign * signal, or of its magnitude [the signal's unit].
-        tyre: velocities that count, in addition to the deflection, for a tyre that damps; None for the signal alone.
-        part: part whose force beyond its line counts [N]; None for the signal.
-        of_rate: True if the value limits the change of an actuator's command per second, see `command_rates`.
+        value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
+        tyre: hub and road velocities that also count for a damping tyre; None if only the deflection counts.
+        part: part whose force beyond its linearisation is limited [N]; None if the signal is limited.
+        of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
     """
 
     signal: str
@@ -49,16 +51,16 @@ class Threshold:
     of_rate: bool = False
 
     def of(self, response: Response) -> Array:
-        """Returns the signal of a response, the equivalent deflection of a tyre, or the force beyond a damper's line."""
+        """Returns the limited quantity: a signal, a tyre's equivalent deflection, or a force beyond the linearisation."""
         return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
-        """Returns the values of the signal in the threshold's direction."""
+        """Returns the values in the direction of the limit."""
         return self.sign * values if self.sign else np.abs(values)
 
 
 def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], Array]:
-    """Returns a function to what the limits of N runs are on, shape (..., N), from one that returns signals by name, alike."""
+    """Returns a function that computes the limited quantity of N runs, shape (..., N), from a function of signal names."""
     first = limits[0]
     if first.part is not None:
         stack, place = Stack([[one.part.part] for one in limits if one.part is not None]), first.part.place
@@ -72,7 +74,7 @@ def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], A
     tyre = next((one.tyre for one in limits if one.tyre is not None), None)
     if tyre is None:
         return lambda get: get(first.signal)
-    times = np.array([0.0 if one.tyre is None else one.tyre.time for one in limits])  # c / k of every run [s]
+    times = np.array([0.0 if one.tyre is None else one.tyre.time for one in limits])  # c / k of the tyre in every run [s]
     return lambda get: get(first.signal) + times * (get(tyre.hub) - get(tyre.road))
 
 
@@ -81,13 +83,14 @@ class End:
     """End of the linear regime.
 
     Attributes:
-        name: name in tables, maps and JSON.
-        event: name of its first time among a log's events; empty if it is not logged.
-        verdict: line of a verdict about it, with `when` [s]; empty if that is said elsewhere.
+        name: name in tables, maps and JSON output.
+        event: name of the event at its first time in a log; empty if it is not logged.
+        verdict: sentence about it in a verdict, with `when` [s]; empty if the verdict reports it in another way.
         color: colour in a map, on a light background.
-        marker: marker on curves, on a dark background: its shape, as Rerun names it, and a colour that no curve has.
-        thresholds: function that returns the thresholds of a vehicle; empty if it has no such limit.
-        exact: True if the exact response continues beyond it, and only linearity ends.
+        marker: shape and colour of its marker on plots with a dark background. Rerun defines the names of the shapes. No curve
+            has this colour.
+        thresholds: function that returns the thresholds of a vehicle; an empty list if the vehicle has no such limit.
+        exact: True if the exact response is valid beyond this end, where only linearity ends.
     """
 
     name: str
@@ -100,12 +103,12 @@ class End:
 
 
 def _flat(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which tyres are fully compressed."""
+    """Returns the thresholds at which tyres are fully compressed."""
     return [Threshold(wheel.tyre_deflection, -1.0, MOST_SQUEEZE) for wheel in vehicle.kind.wheels]
 
 
 def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which tyres no longer push: their deflections, or equivalent ones, reach the static ones."""
+    """Returns the thresholds at which tyres lose contact: their deflections, or equivalent ones, reach the static ones."""
     damped = vehicle.kind.damped_tyres(vehicle.parameters)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     return [Threshold(name, 1.0, value, damped.get(name)) for name, value in static.items()]
@@ -114,7 +117,7 @@ def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
 def _either_way(
     names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None], of_rate: bool = False
 ) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns thresholds on some signals of a vehicle, if it has the limit."""
+    """Returns a function that returns thresholds for the magnitude of signals of a vehicle if it has this limit."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
@@ -124,7 +127,7 @@ def _either_way(
 
 
 def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that returns the thresholds at which parts of a vehicle reach an end."""
+    """Returns a function that returns the thresholds at which the parts of a vehicle reach a given end."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         found = []
@@ -139,14 +142,16 @@ def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
 
 
 def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
-    """Returns the largest deviation of curves from their lines, over their largest forces, by parameter; the largest of all
-    wheels.
+    """Returns the largest deviation of characteristics from their linearisations, by parameter.
+
+    A deviation is relative to the largest force of the characteristic. The largest value of all wheels counts.
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.parts.with_curve:
         d = response[fitted.deflection]
         v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
-        apart = np.fmax.reduce(np.abs(fitted.part.beyond(d, v)), axis=None, initial=0.0) / fitted.part.range  # no samples: NaN
+        # NaN without samples
+        apart = np.fmax.reduce(np.abs(fitted.part.beyond(d, v)), axis=None, initial=0.0) / fitted.part.range
         shares[fitted.name] = max(shares.get(fitted.name, 0.0), float(apart))
     return shares
 
@@ -183,7 +188,7 @@ RATE_LIMIT = End(
     ("Plus", (255, 140, 60)),
     _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.force_rate, of_rate=True),
 )
-FLAT = End(  # no model of the vehicle holds from there
+FLAT = End(  # beyond this end, no model of the vehicle is valid
     "flat tyre",
     "",
     "",
@@ -224,7 +229,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
     """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E): 1 at the limit, 0 without a limit.
 
     Args:
-        anti_windup: True if clipped demands of its actuators end the linear regime, see `EndDetector`.
+        anti_windup: True if clipped demands on the actuators end the linear regime, see `EndDetector`.
     """
     columns, times = [], response.time
     way, interval = _way_and_interval(vehicle, float(times[1] - times[0]) if len(times) > 1 else 0.0, True)
@@ -233,7 +238,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
         for limit in end.thresholds(vehicle):
             values = limit.of(response)
             if limit.of_rate:
-                values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # from rest
+                values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # the forces before the first sample are zero
                 share = np.maximum(share, np.fmax.reduce(np.abs(command_rates(values, way, interval)), axis=-1) / limit.value)
                 continue
             share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
@@ -246,24 +251,27 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
 
 
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
-    """Returns the share of the way to its command that a force goes in a step, exactly or as RK4, and the sample period [s].
+    """Returns the share of the distance to its command that a force covers in a step, and the sample period [s].
 
-    The share is 0 without a lag. A timestep of 0 is that of a single sample.
+    The share is exact for a predicted response, and otherwise that of RK4.
+
+    The share is 0 without a lag. A time step of 0 stands for a single sample.
     """
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     way = float(-np.expm1(-z)) if predicted else way_in_step(z)
     return way, vehicle.implementation.sample_period or timestep or math.inf
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
+@np.errstate(over="ignore", invalid="ignore")  # runs that have diverged may overflow
 def command_rates(forces: Array, way: Any, interval: Any) -> Array:
-    """Returns the changes of commands from sample to sample over the sample period [N/s], shape (..., T - 1).
+    """Returns the rates of commands between samples [N/s], shape (..., T - 1).
 
-    Behind a lag a command follows from the forces at both ends of a step, so the last one is unknown, and its change is NaN.
+    With a lag, a command is computed from the forces at both ends of a step. The last command is therefore unknown, and its
+    rate is NaN.
 
     Args:
         forces: forces at the samples [N], shape (..., T).
-        way: share of the way to its command that a force goes in a step, shape (...); 0 without a lag.
+        way: share of the distance to its command that a force covers in a step, shape (...); 0 without a lag.
         interval: sample period [s], shape (...).
     """
     way, interval = np.asarray(way)[..., None], np.asarray(interval)[..., None]
@@ -272,20 +280,21 @@ def command_rates(forces: Array, way: Any, interval: Any) -> Array:
 
 
 class EndDetector:
-    """Detector of the time at which each of N runs first reaches each of `REGIME_ENDS`, from whole signals or block by block.
+    """Detector of the first time at which each of N runs reaches each of `REGIME_ENDS`, for whole signals or block by block.
 
-    MuJoCo reads a tyre as a length, never below zero: if a road rises through a hub within a step, the reading is that of a long
-    tyre on a hub that has jumped. Therefore a tyre also counts as flat if its hub has jumped and the road is above the hub's
-    extrapolated position.
+    MuJoCo measures a tyre as a length, which is never below zero. If a road rises past a hub within a step, the measurement
+    shows a long tyre below a hub that has jumped. A tyre therefore also counts as flat if its hub has jumped and the road is
+    above the hub's extrapolated position.
 
-    A tyre that damps leaves the road where its whole force ends, by its equivalent deflection (`models/kinds/strut_and_tyre.py`).
+    A damping tyre loses contact when its total force becomes zero, which its equivalent deflection shows
+    (`models/kinds/strut_and_tyre.py`).
 
-    Anti-windup acts from the first sample at which the demand on an actuator is clipped, and so does a limit of commands. Behind
-    a lag that is before the force reaches its limit. The demand follows from the forces at both ends of a step, and its clipping
-    counts as saturation. The changes of commands, which a rate limit limits, follow likewise.
+    Anti-windup acts from the first sample at which the demand on an actuator is clipped, and so does a limit of commands. With
+    a lag, this happens before the force reaches its limit. The demand is computed from the forces at both ends of a step, and
+    its clipping counts as saturation. The rates of commands, which a rate limit limits, are computed in the same way.
 
     Attributes:
-        times: first time of each end [s], shape (N, E), or infinity.
+        times: first time of each end [s], shape (N, E); infinity if it is not reached.
     """
 
     def __init__(
@@ -295,10 +304,10 @@ class EndDetector:
         predicted: bool = False,
         anti_windup: Sequence[bool] | None = None,
     ) -> None:
-        """Prepares runs over these sample times [s], read by MuJoCo, or predicted: predicted tyres pass through hubs.
+        """Prepares N runs.
 
         Args:
-            anti_windup: True for each run whose law has anti-windup, N of them; None if no law has.
+            anti_windup: True for each run whose law has anti-windup, N values; None if no law has anti-windup.
         """
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
         h = float(time[1] - time[0]) if len(time) > 1 else 0.0
@@ -307,16 +316,17 @@ class EndDetector:
         demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
         self.way = np.where(
             demanded, self.lags[0], 0.0
-        )  # elsewhere clipped demands change nothing before a force is at its limit
+        )  # without such a limit, clipped demands have no effect before a force reaches its limit
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
-        self.before = dict[int, Array]()  # forces at the last two samples, by signal [N], shape (N, 2)
-        self.forces: dict[int, Array] = {}  # at the last sample, by signal [N], shape (1, N)
+        self.before = dict[int, Array]()  # forces at the last two samples, by index of the signal [N], shape (N, 2)
+        self.forces: dict[int, Array] = {}  # forces at the last sample, by index of the signal [N], shape (1, N)
         self.places = {signal.name: i for i, signal in enumerate(vehicles[0].kind.signals)}
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {self.places[tyre]: self.places[road] for tyre, road in roads.items()}
-        self.hubs: dict[int, Array] = {}  # at the last two samples, by tyre [m], shape (2, N)
-        # (end, threshold of the first run, its signal, the value of every run, what the limit is on)
-        once = {id(vehicle): vehicle for vehicle in vehicles}  # most are of one vehicle
+        self.hubs: dict[int, Array] = {}  # hub heights at the last two samples, by index of the tyre's signal [m], shape (2, N)
+        # Each entry: index of the end, threshold of the first run, index of its signal, limit in every run, function that
+        # computes the limited quantity.
+        once = {id(vehicle): vehicle for vehicle in vehicles}  # most runs share one vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
             (
@@ -332,21 +342,21 @@ class EndDetector:
 
     @property
     def first(self) -> Array:
-        """Returns the time of the first end [s], shape (N,)."""
+        """Time of the first end [s], shape (N,)."""
         return self.times.min(axis=1)
 
     @property
     def which(self) -> Array:
-        """Returns the first end as an index into `REGIME_ENDS`, -1 for no end, shape (N,)."""
+        """First end as an index into `REGIME_ENDS`, shape (N,); -1 if there is no end."""
         return first_end(self.times)
 
     @property
     def flat(self) -> Array:
-        """Returns the time at which a tyre is first flat, whatever came before [s], shape (N,)."""
+        """Time at which a tyre is first fully compressed, regardless of earlier ends [s], shape (N,)."""
         return self.times[:, REGIME_ENDS.index(FLAT)]
 
     def update(self, start: int, values: Array) -> None:
-        """Takes the block of signals, shape (B, S, N), that starts at a sample."""
+        """Receives the block of signals that begins at sample `start`, shape (B, S, N)."""
         for end, threshold, signal, limit, read in self.limits:
             if threshold.of_rate:
                 self._note_rates(end, start, signal, values, limit)
@@ -357,25 +367,31 @@ class EndDetector:
             self._note(end, start, towards >= limit)
             if REGIME_ENDS[end] is SATURATION and threshold.signal in self.pushing and self.way.any():
                 demands = self._demands(signal, values)
-                # The first of a later block is that of the last sample before it.
+                # The first demand of a later block belongs to the last sample of the previous block.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
-        """Notes the first sample of each run at which a command changes as fast as its limit allows [N/s], shape (N,)."""
+        """Records the first sample at which a command's rate reaches its limit, shape (N,) [N/s]."""
         before = self.before.get(signal, np.zeros((values.shape[2], 2)))
         forces = np.concatenate([before, values[:, signal].T], axis=1)
         self.before[signal] = forces[:, -2:]
-        # The first change is that of the last sample before the block, and 0 at the start.
+        # The first rate belongs to the last sample before the block; it is 0 at the start.
         rates = np.abs(command_rates(forces, *self.lags)).T
         self._note(end, start - 1, rates >= RATE_REACHED * limit)
 
     def _note(self, end: int, start: int, beyond: Array) -> None:
-        """Notes the first sample of each run that is beyond a limit, shape (B, N), from a sample on."""
+        """Records the first sample of each run that exceeds a limit.
+
+        Args:
+            end: index of the end.
+            start: index of the first sample.
+            beyond: True for samples beyond the limit, shape (B, N).
+        """
         hit = np.flatnonzero(beyond.any(axis=0))
         when = self.samples[start + beyond[:, hit].argmax(axis=0)]
         self.times[hit, end] = np.minimum(self.times[hit, end], when)
 
-    @np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
+    @np.errstate(over="ignore", invalid="ignore")  # runs that have diverged may overflow
     def _demands(self, signal: int, values: Array) -> Array:
         """Returns the forces requested from lagging actuators [N], without the last sample; 0 if clipping does not count."""
         forces = values[:, signal]
@@ -385,7 +401,7 @@ class EndDetector:
         return np.where(self.way, demands, 0.0)
 
     def _risen(self, tyre: int, values: Array) -> Array:
-        """Returns the height of a road over the extrapolated hub, if the hub has jumped [m], shape (B, N); -inf otherwise."""
+        """Returns the height of the road above the extrapolated hub if the hub has jumped [m], shape (B, N); otherwise -inf."""
         road = values[:, self.road[tyre]]
         hub = values[:, tyre] + road
         hubs = np.concatenate([self.hubs[tyre] if tyre in self.hubs else hub[[0, 0]], hub])
@@ -395,8 +411,9 @@ class EndDetector:
 
 
 def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
-    """Returns the time at which physics first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity; leading axes are
-    runs. `anti_windup` is that of their law.
+    """Returns the time at which a simulated response first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity.
+
+    Leading axes are runs. `anti_windup` is True if their law has anti-windup.
     """
     leading, whole = response.values.shape[:-2], response.values.shape[-2:]
     runs = response.values.reshape(-1, *whole)
@@ -406,11 +423,11 @@ def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -
 
 
 def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> Array:
-    """Returns the time at which a linear response, times N factors, would reach each of `REGIME_ENDS` [s], shape (N, E).
+    """Returns the time at which a linear response, times each of N factors, reaches each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
-        factors: factors on the height, negative for a hole; shape (N,).
-        anti_windup: True if the law of the response has anti-windup.
+        factors: factors for the road height, negative for a hole; shape (N,).
+        anti_windup: True if the law has anti-windup.
     """
     detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))
     for start in range(0, len(response.time), BLOCK):
@@ -419,17 +436,20 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_wi
 
 
 def first_end(times: Array) -> Array:
-    """Returns the index of the first of `REGIME_ENDS`, -1 if none occurs; from `end_times`, shape (..., E) to (...,).
+    """Returns the index of the earliest of `REGIME_ENDS`, shape (...); -1 if no end is reached.
 
-    For two at one sample it is the first in order.
+    Args:
+        times: times of the ends from `end_times` [s], shape (..., E).
+
+    If two ends occur at the same sample, the first in the order of `REGIME_ENDS` counts.
     """
     return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
 
 
 def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> tuple[str, ...]:
-    """Returns the names of `REGIME_ENDS`, and `DIVERGENCE` or `LAW_OVERFLOW`, that occur in the physics of one run.
+    """Returns the names of the ends that a simulated run reaches: `REGIME_ENDS`, `DIVERGENCE` or `LAW_OVERFLOW`.
 
-    `anti_windup` is that of its law.
+    `anti_windup` is True if the law of the run has anti-windup.
     """
     times = end_times(vehicle, response, anti_windup)
     ended = [name for name, when in zip(END_NAMES, times, strict=True) if np.isfinite(when)]
@@ -437,5 +457,5 @@ def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) ->
 
 
 def broken_by(response: Response) -> str:
-    """Returns the reason why a run broke off: `DIVERGENCE`, or `LAW_OVERFLOW` for a law whose own states diverged."""
+    """Returns the reason why a run ended early: `DIVERGENCE`, or `LAW_OVERFLOW` if the states of its law diverged."""
     return LAW_OVERFLOW if response.law_diverged else DIVERGENCE

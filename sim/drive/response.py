@@ -1,4 +1,4 @@
-"""Responses: named signals over time, for one run or many, by the linear analysis or by physics."""
+"""Responses: named signals over time, for one run or many, from linear analysis or from simulation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,22 +20,24 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-SAME_VALUE = 1e-9  # of a signal's peak: a smaller difference is rounding
-SILENT = 1e-3  # smallest scale of a signal, relative to the loudest of its unit
-STILL = 1e-6  # of displacements or their rates: less in all angles, at 1 m, is the rounding of gains that symmetry makes equal
-ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}  # what an angle, or its rate, makes at a distance
+SAME_VALUE = 1e-9  # relative to a signal's peak; a smaller difference is rounding
+SILENT = 1e-3  # smallest scale of a signal, relative to the largest signal with the same unit
+# relative to displacements or their rates; smaller angles, multiplied by 1 m, are due to rounding in a symmetrical vehicle
+STILL = 1e-6
+# unit of an angle, or of its rates, and the unit of the resulting motion at a distance
+ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}
 
 
 def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> Array:
-    """Returns the largest size among the signals of each one's unit, shape (..., p).
+    """Returns, for each signal, the largest size among the signals with its unit, shape (..., p).
 
-    If symmetry keeps all angles silent, such as the only one of a half-car in the roll plane over a bump under both tracks, then
-    their sizes are those of displacements, as at a distance of 1 m.
+    Symmetry may keep all angles at zero, for example the roll of a half-car in the roll plane over a bump under both tracks.
+    The size for angles is then that of displacements, which corresponds to a distance of 1 m.
 
     Args:
-        sizes: size of p signals, shape (..., p).
-        units: their units.
-        still: `STILL`, or its square for squares of sizes.
+        sizes: size of each of p signals, shape (..., p).
+        units: units of the signals.
+        still: `STILL`, or its square if the sizes are squares.
     """
     largest = {unit: sizes[..., np.array(units) == unit].max(axis=-1) for unit in {*units}}
     for turned, along in ALONG.items():
@@ -47,17 +49,17 @@ def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> A
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Response(ShownResult):
-    """Signals over time, measured from static equilibrium.
+    """Signals over time, relative to static equilibrium.
 
     Attributes:
         time: sample times [s], shape (T,).
-        signals: S signals of the last axis of `values`, each with its unit.
-        values: shape (..., T, S); leading axes are runs.
+        signals: the S signals in the last axis of `values`, each with its unit.
+        values: values of the signals, shape (..., T, S). Leading axes are runs.
         before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name
-            of the signals that jump there, shape (..., T).
+            of the signals that jump, shape (..., T).
 
     Raises:
-        InputError: the shapes do not fit.
+        InputError: the shapes do not fit one another.
     """
 
     time: Array
@@ -73,7 +75,7 @@ class Response(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Returns samples and runs, and the signals with their units, as a document."""
+        """Document with the number of samples and runs, and the signals with their units."""
         times = f", {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
         runs = f", {' x '.join(map(str, self.values.shape[:-2]))} runs" if self.values.ndim > 2 else ""
         signals = ", ".join(f"{signal.name} [{signal.unit}]" for signal in self.signals)
@@ -81,11 +83,11 @@ class Response(ShownResult):
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Returns the names of the signals."""
+        """Names of the signals."""
         return tuple(signal.name for signal in self.signals)
 
     def __getitem__(self, signal: str) -> Array:
-        """Returns one signal over time, shape (..., T).
+        """Returns a signal over time, shape (..., T).
 
         Raises:
             InputError: the signal does not exist; the message lists the signals of the response.
@@ -99,7 +101,7 @@ class Response(ShownResult):
 
     @check_arguments
     def run(self, index: int) -> "Response":
-        """Returns one run of many.
+        """Returns one of several runs.
 
         Raises:
             InputError: the run does not exist.
@@ -110,13 +112,20 @@ class Response(ShownResult):
         return Response(self.time, self.signals, self.values[index], before)
 
     def with_signals(self, signals: tuple[Signal, ...], values: Array) -> "Response":
-        """Returns the response with more signals after its own, values of shape (..., T, k), or itself if there are none."""
+        """Returns the response with additional signals, values of shape (..., T, k).
+
+        Without additional signals, returns itself.
+        """
         if not signals:
             return self
         return replace(self, signals=(*self.signals, *signals), values=np.concatenate([self.values, values], axis=-1))
 
     def with_sides(self, others: Mapping[int, Array]) -> "Response":
-        """Returns the response with its values on the other side of vertical edges, shape (..., S) by sample, in `before`."""
+        """Adds the values on the other side of vertical edges to `before`.
+
+        Args:
+            others: values of all signals, shape (..., S), by index of the sample.
+        """
         before = dict(self.before)
         for i, name in enumerate(self.names):
             known, scale = self[name], SAME_VALUE * np.abs(self[name]).max(initial=0.0)
@@ -127,41 +136,41 @@ class Response(ShownResult):
         return replace(self, before=before)
 
     def only(self, names: Sequence[str]) -> "Response":
-        """Returns the response with some of its signals."""
+        """Returns the response with only some of its signals."""
         columns = [self._column(name) for name in names]
         before = {name: self.before[name] for name in names if name in self.before}
         return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns], before)
 
     def until(self, time: float) -> "Response":
-        """Returns the samples before a time [s]."""
+        """Returns the part of the response before a time [s]."""
         return self.samples(slice(int(np.searchsorted(self.time, time))))
 
     def samples(self, which: slice | Array) -> "Response":
-        """Returns some of the samples, by a slice or a mask."""
+        """Returns some of the samples, selected by a slice or a mask."""
         before = {name: values[..., which] for name, values in self.before.items()}
         return Response(self.time[which], self.signals, self.values[..., which, :], before)
 
     @property
     def diverged(self) -> float:
-        """Returns the time of a single run's first sample with a value that is not finite [s], or infinity."""
+        """Time of the first sample with a value that is not finite, for a single run [s]; infinity if all values are finite."""
         broken = ~np.all(np.isfinite(self.values), axis=-1)
         return float(self.time[broken.argmax()]) if broken.any() else np.inf
 
     @property
     def law_diverged(self) -> bool:
-        """Returns True if a single run of physics ended because the states of its law diverged; see `Recording.response`."""
+        """True if a single simulated run ended because the states of its law diverged; see `Recording.response`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Any:
-        """Returns the largest magnitude of a signal, on both sides of its jumps; NaN if a run broke off.
+        """Returns the largest magnitude of a signal, including both sides of its jumps; NaN if a run ended early.
 
-        The peak of a single run is a float; several runs have an array of shape (...,).
+        The result is a float for a single run, and an array of shape (...,) for several runs.
         """
         return plain(self._peaks[..., self._column(signal)])
 
     @cached_property
     def _peaks(self) -> Array:
-        """Returns the peaks of all signals, shape (..., S), cached: `scale` needs them often."""
+        """Peaks of all signals, shape (..., S); cached because `scale` often needs them."""
         peaks = np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
         for name, values in self.before.items():
             peaks[..., self._column(name)] = np.maximum(peaks[..., self._column(name)], np.abs(values).max(axis=-1))
@@ -169,30 +178,30 @@ class Response(ShownResult):
 
     @cached_property
     def _loudest(self) -> Array:
-        """Returns the largest peak of the signals of each one's unit, shape (..., S)."""
+        """Largest peak among the signals with the same unit, for each signal, shape (..., S)."""
         return loudest_alike(self._peaks, [signal.unit for signal in self.signals])
 
     def scale(self, signal: str) -> float:
-        """Returns the scale of a single run's differences in a signal: its peak.
+        """Returns the value to which differences in a signal are relative, for a single run: usually its peak.
 
-        A signal that symmetry keeps silent, such as roll over a bump under both tracks, has no peak of its own: its scale is a
-        thousandth of the loudest signal of its unit, see `loudest_alike`.
+        Symmetry may keep a signal at zero, for example roll over a bump under both tracks. The scale is therefore at least a
+        thousandth of the largest signal with the same unit, see `loudest_alike`.
         """
         return max(self.peak(signal), SILENT * float(self._loudest[self._column(signal)]))
 
     def rms(self, signal: str) -> Any:
-        """Returns the root mean square of a signal over the whole response, of both sides of its jumps.
+        """Returns the root mean square of a signal over the whole response, including both sides of its jumps.
 
-        The value of a single run is a float; several runs have an array of shape (...,).
+        The result is a float for a single run, and an array of shape (...,) for several runs.
         """
         after = self[signal] ** 2
         return plain(np.sqrt(np.mean((after + self.before[signal] ** 2) / 2 if signal in self.before else after, axis=-1)))
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Returns one run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
+        """Converts one run to a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
 
         Raises:
-            InputError: the response holds several runs; take one with `run`.
+            InputError: the response contains several runs; select one with `run`.
         """
         import pandas as pd
 
@@ -203,10 +212,10 @@ class Response(ShownResult):
 
     @check_arguments
     def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
-        """Returns one run as python-control's response: the outputs of its vehicle over its road, by name.
+        """Converts one run to python-control's response: the outputs of its vehicle, with the road velocities as inputs.
 
         Raises:
-            InputError: the response holds several runs; take one with `run`.
+            InputError: the response contains several runs; select one with `run`.
         """
         import control
 
@@ -227,22 +236,23 @@ class Response(ShownResult):
             raise InputError(f"the response contains runs of shape {self.values.shape[:-2]}; select one, as in response.run(0)")
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop overflows
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
-    """Returns the difference of two responses over the sampled one's peak, dimensionless; the verdict takes the largest.
+    """Returns the difference of two responses, relative to the peaks of the sampled one. The verdict uses the largest value.
 
     Args:
-        sampled: exact sampled response, at the same times.
+        sampled: exact sampled response, at the same times as the simulated one.
 
     Returns:
-        The vehicle's signals by their names, without those of the road, which are inputs of both.
+        The vehicle's signals by their names, without the road signals, which are inputs of both responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []
     for signal in outputs:
-        scale = sampled.scale(signal.name) or 1.0  # a vehicle that nothing moves
+        scale = sampled.scale(signal.name) or 1.0  # 1 for a vehicle that nothing moves
         apart = (physics[signal.name] - sampled[signal.name]) / scale
-        columns.append(np.where(np.isnan(apart), np.nan, apart))  # one bit pattern of NaN: logs are compared by bytes
+        # a single bit pattern for NaN, because logs are compared byte by byte
+        columns.append(np.where(np.isnan(apart), np.nan, apart))
     about = "MuJoCo minus linear, over the peak"  # existing logs contain this text
     signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in outputs)
     return Response(sampled.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(sampled.time), 0)))

@@ -1,4 +1,4 @@
-"""Signals read out of MuJoCo's state and sensors."""
+"""Computation of signals from MuJoCo's state and sensors."""
 
 import functools
 from collections.abc import Sequence
@@ -17,20 +17,20 @@ from models.vehicle.vehicle import Vehicle
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-CLOSEST = 1e-13  # m, rad and their rates; to this difference a run starts in its given state
-MOST_TRIALS = 60  # of the search for that state
+CLOSEST = 1e-13  # m, rad and their rates; accuracy with which a run starts in its given state
+MOST_TRIALS = 60  # largest number of iterations of the search for this state
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
-    """Returns a key that is equal for vehicles with the same model in MuJoCo, whatever their controllers' implementations."""
+    """Returns a key that is equal for vehicles with the same MuJoCo model, regardless of their controllers' implementations."""
     curves, ratios, dampers = (one.values() for one in (vehicle.curves, vehicle.kind.ratios, vehicle.dampers))
     return (vehicle.kind.name, *vehicle.parameters.values(), *curves, *ratios, vehicle.limits, *dampers)
 
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
-    """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
+    """Returns a key that is equal for vehicles that can be stepped together: same geometry and same number of elements."""
     model, readout = prepared_readout(vehicle, timestep)
-    # A model without a stop, a bar or a ramp cannot hold that of another vehicle.
+    # A model without a stop, an anti-roll bar or a ramp cannot represent a vehicle that has one.
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
@@ -43,26 +43,28 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """Maps from MuJoCo's state and sensors to signals. A signal is its sensor, read along its `user` direction, from its value at
-    rest.
+    """Maps from MuJoCo's state and sensors to signals.
+
+    A signal is the value of its sensor in the sensor's `user` direction, relative to the value in equilibrium.
 
     Attributes:
-        names: names of the S signals, the last k of which are the own states of parts.
-        stage: mjtStage that each signal's sensor needs, shape (S,).
-        linear: True for signals linear in (qpos, qvel), shape (S,). These are read from the state before a step: evaluating
-            their sensors would cost a seventh of the step.
-        of_state: linear signals from (qpos, qvel), shape (S, nq + nv).
-        of_sensors: signals from `sensordata`, shape (S, nsensordata).
-        of_parts: signals from the own states of parts, shape (S, k).
-        of_road: derivative of the signals in the road heights, shape (S, r). They are linear in those.
-        rest: values of `of_sensors` at rest, shape (S,).
-        has_road_feedthrough: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is
-            then not enough.
-        mocap: mocap index of every wheel's road.
-        stretching_rates: map from qvel to the stretching rate of the inputs' actuators at equilibrium, shape (m, nv).
-        lagging: index of each input's activation in the model, or -1 if it has none, shape (m,).
-        load_dofs: degree of freedom along which each load pushes the body.
-        damped_tyres: wheels whose tyres damp, and the actuator of each.
+        names: names of the S signals. The last k are the states of the vehicle's parts.
+        stage: mjtStage to which MuJoCo must be evaluated for the sensor of each signal, shape (S,).
+        linear: True for signals that are linear in (qpos, qvel), shape (S,). Linear signals are computed from the state before
+            a step. Evaluating their sensors would take a seventh of the time of the step.
+        of_state: map from (qpos, qvel) to linear signals, shape (S, nq + nv).
+        of_sensors: map from `sensordata` to signals, shape (S, nsensordata).
+        of_parts: map from the states of parts to signals, shape (S, k).
+        of_road: derivative of the signals with respect to the road heights, shape (S, r). Signals are linear in the road
+            heights.
+        rest: values of `of_sensors` in equilibrium, shape (S,).
+        has_road_feedthrough: True if an acceleration depends directly on the road. The value within the step, with the road
+            midway, is then not sufficient.
+        mocap: mocap index of each wheel's road.
+        stretching_rates: map from qvel to the extension rate of each input's actuator in equilibrium, shape (m, nv).
+        lagging: index of each input's activation in the model, shape (m,); -1 if it has no activation.
+        load_dofs: degree of freedom on which each load acts.
+        damped_tyres: wheels with damping tyres, and the actuator of each.
     """
 
     names: tuple[str, ...]
@@ -83,13 +85,16 @@ class Readout:
 
 @functools.lru_cache(maxsize=16)
 def prepared_readout(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
-    """Returns model and readout of a vehicle, cached: a search runs one vehicle hundreds of times. `Batch` copies the model."""
+    """Returns the model and the readout of a vehicle, cached because a search runs one vehicle hundreds of times.
+
+    `Batch` copies the model.
+    """
     model = build_model(vehicle, timestep, drawn=False)
     return model, _readout(vehicle, model)
 
 
 def state_at_start(vehicle: Vehicle, model: mujoco.MjModel, readout: Readout) -> Array | None:
-    """Returns the positions and velocities, own states of parts and activations in which runs start; None for rest.
+    """Returns positions, velocities, states of parts and activations at the start of a run; None for equilibrium.
 
     Raises:
         InputError: no position of the vehicle has these deflections.
@@ -110,7 +115,7 @@ def state_at_start(vehicle: Vehicle, model: mujoco.MjModel, readout: Readout) ->
 
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
-    """Returns a batch of N runs on one thread, each of its own model if there are several."""
+    """Returns a batch of N runs on one thread, with separate models if several are given."""
     if any(one.acts and not one.native for one in vehicles[0].parts):
         from models.vehicle.suspension_forces import SuspensionForces
 
@@ -144,10 +149,11 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         mujoco.mj_forward(model, data)
         return of_sensors @ data.sensordata
 
-    # qpos = 0 is the static equilibrium of every MJCF here.
+    # In every model here, qpos = 0 is the static equilibrium.
     still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
-    rest = np.round(read(still, flat), 12)  # in SI; an acceleration's rounding would differ with the masses
-    small = 0.1  # metres and radians: a tyre's length is linear only while its road stays below the hub
+    # in SI units; rounded, because the rounding error of an acceleration would depend on the masses
+    rest = np.round(read(still, flat), 12)
+    small = 0.1  # metres and radians; a tyre's length is linear only while its road stays below the hub
     of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
     of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 
@@ -155,7 +161,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None])))) or (vehicle.inertial and bool(late.any()))
     linear = ~late
     rng = np.random.default_rng(0)
-    for _ in range(3):  # a signal counts as linear if it is at a few states far from the axes
+    for _ in range(3):  # a signal counts as linear if it is linear in a few states far from the axes
         move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
         linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
     inputs, stretching = len(vehicle.linear_model.inputs), []
@@ -183,22 +189,28 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
 
 
 def states_of_parts(batch: Batch) -> Array:
-    """Returns the own states of parts in a batch, 0 at first, shape (N, k)."""
+    """Returns the states of the vehicles' parts in a batch, initially 0, shape (N, k)."""
     return getattr(batch, "z", np.zeros((batch.nsim, 0)))
 
 
 def sensed_stage(readout: Readout, used: Array) -> int:
-    """Returns the mjtStage of sensors to evaluate before a step for the signals that are used, shape (S,)."""
+    """Returns the mjtStage to which sensors must be evaluated before a step.
+
+    Args:
+        readout: maps to the signals.
+        used: True for signals that are used, shape (S,).
+    """
     return int(max(readout.stage[used & ~readout.linear], default=0))
 
 
 def beside_reading(road: Array, readout: Readout, some: Sequence[int], linear: bool) -> Array:
-    """Returns the parts of some signals that a reading lacks: of the road, and of the value at rest; shape (T, N, s).
+    """Returns the contributions of the road heights and of the equilibrium values to signals, shape (T, N, s).
 
     Args:
-        road: road heights that the reading lacks [m], shape (T, N, r).
+        road: road heights that are not yet included [m], shape (T, N, r).
+        readout: maps to the signals.
         some: indices of the signals.
-        linear: True for the signals that are read from the state, False for those from sensors; the others are 0.
+        linear: True for the signals computed from the state, False for those computed from sensors. The other signals are 0.
     """
     beside = np.zeros((*road.shape[:2], len(some)))
     for i, s in enumerate(some):
@@ -210,6 +222,12 @@ def beside_reading(road: Array, readout: Readout, some: Sequence[int], linear: b
 
 
 def mix(matrix: Array, parts: Array, total: Array) -> None:
-    """Adds weighted parts, shape (B, k, N), to totals, shape (B, S, N), by a matrix of shape (S, k), term by term."""
+    """Adds a matrix product to totals term by term, so that the order of summation is fixed.
+
+    Args:
+        matrix: weights, shape (S, k).
+        parts: terms, shape (B, k, N).
+        total: sums, shape (B, S, N), changed in place.
+    """
     for i, j in np.argwhere(matrix).tolist():
         total[:, i] += parts[:, j] if matrix[i, j] == 1 else matrix[i, j] * parts[:, j]

@@ -1,1 +1,1 @@
-"""The exact linear counterpart of the same loop, in time and frequency; without MuJoCo."""
+"""Exact linear responses of the simulated loops in the time and frequency domain, without MuJoCo. Start with `prediction.py`."""

@@ -1,4 +1,4 @@
-"""Signals and commands of adjustable dampers: in a linear response, and read back from a run of physics."""
+"""Signals and commands of semi-active dampers, from a linear response and from a simulated run."""
 
 import numpy as np
 
@@ -9,11 +9,13 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.recursion import way_in_step
 from sim.drive.response import Response
 
-MOST_SQUARED = 1e150  # N
+MOST_SQUARED = 1e150  # N; forces are clipped here so that their squares are finite
 
 
 def stretching_rates(vehicle: Vehicle) -> Array:
-    """Returns V from the state to the stretching rate of each adjustable damper, shape (m, n); zero rows for force actuators.
+    """Returns the matrix V from the state to the extension rate of each semi-active damper, shape (m, n).
+
+    Rows of active actuators are zero.
 
     Raises:
         ValueError: a suspension's deflection is not a state of the linear model, or jumps with the road.
@@ -24,16 +26,16 @@ def stretching_rates(vehicle: Vehicle) -> Array:
         if force in vehicle.dampers:
             at = model.states.index(vehicle.kind.deflection_of(force))
             if np.any(model.B[at]) or np.any(model.jump[at]) or np.any(model.Br[at]):
-                raise ValueError(f"the rate of {model.states[at]} has a force or the road in it")
+                raise ValueError(f"the rate of {model.states[at]} depends directly on a force or on the road")
             row = vehicle.motion_ratios[force] * model.A[at]
         rows.append(row)
     return np.stack(rows)
 
 
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the closing velocity of every damper [m/s] at the samples, and 1 of actuators that push, shape (T, m + c).
+    """Returns the closing velocity of every damper at the samples [m/s], shape (T, m + c). The value is 1 for active actuators.
 
-    Travels and states of elements follow, see `CoefficientRange.closing`.
+    Travels and states of voltage-controlled elements follow, see `CoefficientRange.closing`.
     """
     of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
@@ -43,11 +45,11 @@ def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
 
 
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:
-    """Returns the signals of the adjustable dampers, by name.
+    """Returns the signals of the semi-active dampers by name.
 
     Args:
-        beyond: coefficients beyond the nominal ones [N s/m], shape (T, m).
-        missing: requested minus actual forces [N], shape (T, m).
+        beyond: coefficients relative to the nominal ones [N s/m], shape (T, m).
+        missing: requested forces minus actual forces [N], shape (T, m).
     """
     signals, forces = {}, vehicle.linear_model.inputs
     for damper in vehicle.parts.adjustable:
@@ -57,12 +59,13 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
 
 
 def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, Array]:
-    """Returns the damper signals of a linear response, whose forces all act: the coefficients for them, and the forces dampers
-    would omit.
+    """Returns the damper signals of a linear response in which all requested forces act.
+
+    The coefficients are those that these forces need. The missing forces are those that real dampers would not supply.
 
     Args:
-        states: states of the vehicle, shape (T, n).
-        inputs: forces that act [N], shape (T, m).
+        states: states of the vehicle at the samples, shape (T, n).
+        inputs: forces that act at the samples [N], shape (T, m).
     """
     of = range_of([vehicle])
     model, own = vehicle.linear_model, len(vehicle.kind.of_parts)
@@ -73,10 +76,10 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 
 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the commands of the actuators in a run of physics, shape (T, 2 m); 0 where the run diverged.
+    """Returns the commands of the actuators in a simulated run, shape (T, 2 m); 0 after the run diverged.
 
-    See `CoefficientRange.commands`. In a step RK4 moves a lagging coefficient by a known share towards its command: the command
-    follows from that.
+    See `CoefficientRange.commands`. In each step, RK4 moves a lagging coefficient by a known share of the distance to its
+    command, which gives the command.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)
@@ -93,12 +96,12 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
 
 
 def squarable(forces: Array) -> Array:
-    """Returns requested forces [N], clipped to finite squares, as unstable laws may exceed them."""
+    """Returns requested forces [N], clipped so that their squares are finite. The forces of unstable laws may be too large."""
     return np.clip(forces, -MOST_SQUARED, MOST_SQUARED)
 
 
 def command_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the commands of a law in Python: forces, or with adjustable dampers `CoefficientRange.commands`."""
+    """Returns the names of a Python law's commands: forces or, with semi-active dampers, `CoefficientRange.commands`."""
     forces, coefficients = vehicle.linear_model.inputs, {one.force: one.coefficient for one in vehicle.parts.adjustable}
     if not coefficients:
         return forces

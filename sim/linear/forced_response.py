@@ -1,6 +1,7 @@
-"""The exact linear response to known forces: for controllers without a linear analysis. With curves it is that of RK4.
+"""Exact linear response to known forces, for controllers without linear analysis. With characteristics, it is that of RK4.
 
-As in `sim.linear.sampled_response`, but the forces u[k], held from one sample to the next, are given, and no loop is closed:
+The equations are those of `sim.linear.sampled_response`. The forces u[k], which are held from one sample to the next, are
+given, and no loop is closed:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k).
 """
@@ -21,12 +22,13 @@ from synth.plant.loop import HoldInterval, Loop, respond
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response to forces, and to the road as MuJoCo holds it, from rest.
+    """Returns the response to forces, and to the road as MuJoCo holds it, starting from equilibrium.
 
     Args:
-        forces: requested at every sample [N], shape (T, m).
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding. With curves the response is that
-            of RK4.
+        forces: requested forces at every sample [N], shape (T, m).
+        road: road, with its vehicle.
+        exponential: function for the matrix exponential. `taylor4` predicts RK4 up to rounding. With characteristics, the
+            response is always that of RK4.
     """
     vehicle, h, model = road.vehicle, road.timestep, road.vehicle.linear_model
     if vehicle.parts.nonlinear:
@@ -49,7 +51,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
-    """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
+    """Returns the response to held forces and to the continuous road, from equilibrium. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
     Phi, Gamma = plant.part((), model.inputs).hold_matrices(road.timestep)
     start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))

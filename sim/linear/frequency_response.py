@@ -1,18 +1,18 @@
-"""Frequency responses from the road's velocity, exact in two ways: of the sampled loop that MuJoCo runs, and the continuous one.
+"""Exact frequency responses from the road velocity, for the sampled loop that MuJoCo simulates and for the continuous loop.
 
-A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All that follows is per unit of W. In continuous
-time both act on the loop of `synth/controller/loop_of.py`.
+A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All responses are relative to W. In continuous
+time, Z and W act on the loop of `synth/controller/loop_of.py`.
 
-Sampled, the road is Z exp(j omega t_k) at the samples. Over a step it is held at its midpoint, exp(j omega h/2) times as much,
-and at its mean velocity where tyres damp. The force is held. A sampled sinusoid stays one, without any approximation. Where the
-controller's own sample period is several steps, it does not: then the response is its share at omega itself, over all the steps
-of a period.
+In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step it is held at its midpoint, which is exp(j
+omega h/2) times as large. If tyres damp, its mean velocity over the step is held, too. The force is held. The response to a
+sampled sinusoid is then an exact sinusoid. If the sample period of the controller is several steps, other frequencies appear.
+The response is then its component at omega, over all steps of a period.
 
-A preview adds to the requested forces the sum of its weights times exp(j omega i T), over the coming samples of every T seconds,
-and continuous the integral of F(s) exp(j omega s).
+Preview adds to the requested forces a sum over the coming samples, at intervals T, of the weights times exp(j omega i T). In
+continuous time, it adds the integral of F(s) exp(j omega s).
 
-A force in a suspension that is F exp(j omega t), held over a step at its midpoint as the road is, moves no state at once.
-Responses to such forces follow those to the wheels' roads, per newton.
+A suspension force F exp(j omega t) may act in addition. Like the road, it is held over each step at its midpoint, and it does
+not make any state jump. The responses to this force, per newton, are appended to the responses to the road.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,16 +29,19 @@ from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, road_inputs, with_ending
 from synth.plant.loop import Loop, frequency_response, stepwise_response
 
-LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
-PULL = "pull_"  # begins the name of a suspension force among the inputs
+# start of the grid of the peak search [rad/s], which ends at the Nyquist frequency, and its number of points
+LOWEST, GRID = 1e-2, 3000
+PULL = "pull_"  # prefix of the name of a suspension force among the inputs
 
 
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
-    """Returns the frequency response of the continuous loop from each wheel's road velocity to each output, complex, shape (F, p,
-    r).
+    """Returns the frequency response of the continuous loop from each wheel's road velocity to each output.
+
+    The frequency response is complex, with shape (F, p, r).
+
 
     Args:
-        vehicle: p outputs, r wheels.
+        vehicle: vehicle with p outputs and r wheels.
         omega: angular frequencies above 0 [rad/s], shape (F,).
     """
     loop, model, omega = loop_of(vehicle, controller), vehicle.linear_model, np.asarray(omega, dtype=float)
@@ -53,14 +56,15 @@ def sampled_frequency_response(
     exponential: Callable[[Array], Array] = linalg.expm,
     pulls: Sequence[str] = (),
 ) -> Array:
-    """Returns the same for the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
+    """Returns the frequency response of the sampled loop with hold, delay and lag, complex, shape (F, p, r).
 
     Args:
-        vehicle: p outputs, r wheels.
+        vehicle: vehicle with p outputs and r wheels.
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
-        timestep: h [s].
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
-        pulls: e deflections along which forces pull, responses to which follow, per newton, shape (F, p, r + e).
+        timestep: time step h [s].
+        exponential: function for the matrix exponential; `taylor4` predicts RK4.
+        pulls: e deflections along which additional forces act. If given, their responses per newton are appended: shape (F, p,
+            r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -69,16 +73,16 @@ def sampled_frequency_response(
 def stepwise_frequency_response(
     vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Sequence[str] = ()
 ) -> tuple[Array, Array]:
-    """Returns the response from each wheel's road velocity to the outputs at every timestep of a controller period, and jumps.
+    """Returns the response from the road velocities to the outputs at every time step of a controller's sample period.
 
-    The values at step i are exact for a road exp(j omega t) with t from the period's start. Between samples a held force adds
-    other frequencies, of which `sampled_frequency_response` has only the share at omega.
+    The values at step i are exact for a road exp(j omega t) with t from the start of the period. Between samples, a held force
+    adds other frequencies. `sampled_frequency_response` contains only the component at omega.
 
     Arguments as for `sampled_frequency_response`.
 
     Returns:
-        The values, shape (steps + 1, F, p, r + e), complex; the last is the first of the next period. Then the jumps of the
-        outputs where the next held force begins, shape (steps, F, p, r + e). Behind a lag nothing jumps.
+        The values, complex, shape (steps + 1, F, p, r + e). The last value is the first of the next period. Then the jumps of
+        the outputs when the next held force begins, shape (steps, F, p, r + e). Outputs behind a lag do not jump.
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, linalg.expm, pulls)
     return stepwise_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -92,7 +96,9 @@ def driven_loop(
     exponential: Callable[[Array], Array] = linalg.expm,
     pulls: Sequence[str] = (),
 ) -> tuple[Loop, dict[str, Array]]:
-    """Returns the sampled loop, and its inputs under roads of velocity exp(j omega t) and under pulls, by name, (F, r + e) each.
+    """Returns the sampled loop and its inputs for road velocities exp(j omega t) and for suspension forces.
+
+    The inputs are given by name, with shape (F, r + e) each.
 
     Arguments as for `sampled_frequency_response`.
     """
@@ -108,7 +114,8 @@ def driven_loop(
         loop = replace(loop, plant=plant.with_inputs(forces, np.zeros_like(push), shown))
     turn, each = np.exp(s * h), np.eye(len(roads) + count)
     amplitudes = {MIDWAY: np.exp(s * h / 2) / s, HEIGHT: 1 / s}
-    if model.tyres_damp:  # held at the mean velocity of the step; a reading is taken before the next step's acts
+    # The mean velocity of a step is held. A measurement is taken before the mean velocity of the next step acts.
+    if model.tyres_damp:
         mean = (turn - 1) / (h * s)
         amplitudes |= {HELD: mean, SIGNAL: mean, READ: mean / turn}
     drive = {f"{name}{ending}": size * each[i] for i, name in enumerate(roads) for ending, size in amplitudes.items()}
@@ -124,11 +131,14 @@ def driven_loop(
 
 @dataclass(frozen=True)
 class WorstSinusoid:
-    """Sinusoidal road of the largest gain from its height, or from w if it has a filter, to the weighted output z, both in L2.
+    """Sinusoidal road with the largest L2 gain from the road to the weighted output z.
+
+    The gain is relative to the road height or, if the road has a filter, to the filter's input w.
 
     Attributes:
-        gain: ||z|| / ||w||. The H-infinity norm with one wheel, a lower bound on it with more: all wheels follow one road.
-        omega: frequency of the sinusoid [rad/s].
+        gain: ||z|| / ||w||. With one wheel, this is the H-infinity norm. With several wheels, it is a lower bound on the norm,
+            because all wheels follow the same road.
+        omega: angular frequency of the sinusoid [rad/s].
     """
 
     gain: float
@@ -136,12 +146,12 @@ class WorstSinusoid:
 
 
 def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float) -> Array:
-    """Returns the gains from sinusoidal roads under the wheels to z, shape (F,).
+    """Returns the gains from sinusoidal roads under the wheels to the performance output z, shape (F,).
 
     Args:
-        response: frequency response at these frequencies, shape (F, p, r).
-        omega: angular frequencies, shape (F,).
-        speed: forward velocity [m/s].
+        response: frequency response at the frequencies, shape (F, p, r).
+        omega: angular frequencies [rad/s], shape (F,).
+        speed: forward speed [m/s].
     """
     wheel_roads = as_met(vehicle, omega, speed)
     z = vehicle.weights(omega) * vehicle.summed(
@@ -153,18 +163,20 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
 def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
     """Returns the largest gain from the road under the wheels to z, and its frequency.
 
-    By Parseval it is the largest L2 gain of any road below `highest`: the H-infinity norm if there is one wheel.
+    By Parseval's theorem, this is the largest L2 gain for all roads with frequencies below `highest`. With one wheel, it is the
+    H-infinity norm.
 
     Args:
-        response: angular frequencies (F,) -> frequency response (F, p, r).
-        highest: end of the search [rad/s], the Nyquist frequency pi / h.
-        speed: forward velocity [m/s].
+        response: function that returns the frequency response, shape (F, p, r), at angular frequencies [rad/s], shape (F,).
+        highest: upper end of the search [rad/s]: the Nyquist frequency pi / h.
+        speed: forward speed [m/s].
     """
 
     def gain(omega: Array) -> Array:
         return sinusoid_gains(vehicle, response(omega), omega, speed)
 
-    # Lightly damped poles make narrow peaks; those of a vehicle are wider than the grid's 0.4 %, and each is refined.
+    # Lightly damped poles cause narrow peaks. Those of a vehicle are wider than the grid's spacing of 0.4 %, and each peak is
+    # refined.
     omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
     gains = gain(omega)
     best = WorstSinusoid(float(gains.max()), float(omega[gains.argmax()]))

@@ -1,4 +1,4 @@
-"""Equations of motion of a linear vehicle with the nonlinear forces of its suspensions."""
+"""Equations of motion of a vehicle that is linear except for the forces of its suspensions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -20,20 +20,22 @@ Effects = Callable[[Sequence[str]], tuple[Array, Array]]
 
 
 def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts: Array) -> tuple[Array, Array, Array, Array]:
-    """Returns the suspensions of a vehicle on a linear model of it; rows and columns of those without forces are 0.
+    """Returns the maps from states and road heights to suspension motions, and from suspension forces to states and outputs.
+
+    Rows and columns of suspensions without nonlinear forces are 0.
 
     Args:
-        model: the vehicle's linear model, or that at its wheels, which does not have the own states of parts.
-        effects: see `Vehicle.force_effects`, for this linear model.
-        acts: True for each suspension with forces beyond the linear model.
+        model: linear model of the vehicle, or its model at the wheels, which does not contain the states of parts.
+        effects: function that returns the effects of suspension forces on this model, see `Vehicle.force_effects`.
+        acts: True for each suspension with forces that the linear model does not contain.
 
     Returns:
-        Gains from states and from road heights to their deflections and, after these, to their rates, shapes (2 s, n) and
-        (2 s, r); then those from the forces that pull them together to the rates of the states and to the outputs, shapes (n, s)
+        Gains from states and from road heights to the deflections followed by their rates, shapes (2 s, n) and (2 s, r). Then
+        the gains from the contracting forces of the suspensions to the rates of the states and to the outputs, shapes (n, s)
         and (p, s).
 
     Raises:
-        ValueError: the effect of forces along a suspension is unknown.
+        ValueError: the effect of a force along a suspension is unknown.
     """
     parts = vehicle.kind.suspensions
     count = len(parts)
@@ -54,13 +56,14 @@ def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts:
 
 
 class LinearMotion:
-    """Equations of motion of a vehicle that is linear except for the forces of its suspensions, while no tyre leaves the road."""
+    """Equations of motion of a vehicle that is linear except for its suspension forces, as long as all tyres are in contact."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Prepares the linear model and the effect of its suspensions.
+        """Prepares the linear model and the effect of the suspension forces.
 
         Raises:
-            ValueError: a suspension with such forces is not a state of the linear model, or its effect is unknown.
+            ValueError: the deflection of a suspension with nonlinear forces is not a state of the linear model, or the effect
+                of its force is unknown.
         """
         self.model = wheel_model(vehicle.kind, vehicle.parameters)
         self.names = self.model.states
@@ -72,7 +75,7 @@ class LinearMotion:
         self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, self.model, effects, acts)
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """See `Motion`. The state is the part of the linear model's state that does not jump with the road."""
+        """Returns the state that does not jump with the road. See `Motion`."""
         return np.stack([signals[name] for name in self.names], axis=-1) - heights @ self._jump
 
     def usable(self, state: Array) -> Array:
@@ -97,7 +100,7 @@ class LinearMotion:
 
 
 def lag_rates(vehicle: Vehicle) -> Array:
-    """Returns the bandwidth of every actuator [rad/s], shape (m,); 0 for one without lag."""
+    """Returns the bandwidth of every actuator [rad/s], shape (m,); 0 for an actuator without lag."""
     inputs = vehicle.linear_model.inputs
     rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
     for one in vehicle.parts.adjustable:

@@ -1,4 +1,4 @@
-"""Signals of a vehicle by the states and inputs of its model over time, and forces by a preview of the road."""
+"""Signals of a vehicle from the states and inputs of its model over time, and forces from the preview of the road."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -24,13 +24,13 @@ def response_of(
     beyond: Array | float,
     beside: Mapping[str, Array] | None = None,
 ) -> Response:
-    """Returns all signals of the vehicle from the states and inputs of its model over time, shapes (T, n) and (T, m).
+    """Returns all signals of the vehicle from the states and inputs of its model over time.
 
     Args:
-        model: the vehicle's model, or a larger one that begins with its states and inputs.
-        states, inputs: states and inputs over time.
-        beyond: contribution of curves and loads to the outputs, shape (T, p), or 0.
-        beside: additional signals, each of shape (T,), or None for the damper signals of these inputs.
+        model: model of the vehicle, or a larger model that begins with its states and inputs.
+        states, inputs: states and inputs at the samples, shapes (T, n) and (T, m).
+        beyond: contribution of characteristics and loads to the outputs, shape (T, p), or 0.
+        beside: additional signals by name, each of shape (T,). None adds the damper signals of these inputs.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
     return response_by_name(road, (*model.outputs, *with_ending(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
@@ -42,7 +42,8 @@ def response_by_name(
     """Returns all signals of the vehicle from the outputs of its loop, shape (T, p).
 
     Args:
-        names: names of the outputs as in `loop_of`: the vehicle's output signals, and the forces that its actuators are given.
+        names: names of the outputs, as in `loop_of`: the output signals of the vehicle, and the forces that its actuators
+            receive.
         beside: additional signals, see `response_of`.
     """
     vehicle, steady, place = road.vehicle, road.steady_signals(road.time), {name: i for i, name in enumerate(names)}
@@ -60,12 +61,12 @@ def response_by_name(
 
 
 def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:
-    """Returns a linear response with its values on the other side of vertical edges.
+    """Returns a linear response with the values on the other side of vertical edges of the road.
 
     Args:
-        response: a single run over the road.
-        of_heights: jump of every output per height of the road under every wheel, shape (p, r).
-        held: see `RoadInput.vertical_edges`.
+        response: response of a single run over the road.
+        of_heights: jump of every output per jump of the road height under every wheel, shape (p, r).
+        held: argument of `RoadInput.vertical_edges`.
     """
     if not road.road.jumps:
         return response
@@ -79,7 +80,7 @@ def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, he
 
 
 def forces_ahead(preview: "RoadPreview", road: RoadInput, steps: int) -> Array:
-    """Returns the forces by which a computer answers the road ahead [N], shape (T, m), held for `steps` timesteps each."""
+    """Returns the forces of a computer for the road ahead [N], shape (T, m), held for `steps` time steps each."""
     h = road.timestep
     heights = np.concatenate([road.heights, road.ahead((preview.samples(steps * h) - 1) * steps)])
     return preview.forces(heights, steps, h, len(road.time))

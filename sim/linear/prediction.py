@@ -1,7 +1,7 @@
-"""Linear responses for one vehicle with one controller over one road, beside which a run of MuJoCo is measured.
+"""Linear responses for one vehicle, controller and road, with which a MuJoCo run is compared.
 
-They are linear except for the characteristics of dampers and springs: `sampled` and `integrated` follow these. Norm, margins and
-designs are those of the linearisation at equilibrium, whose response is `linearised`.
+The responses are linear except for the characteristics of dampers and springs, which `sampled` and `integrated` include. Norms,
+margins and designs use the linearisation at equilibrium, whose response is `linearised`.
 """
 
 import math
@@ -27,18 +27,19 @@ LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characte
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Linear responses of one run from rest, each computed when it is first needed.
+    """Linear responses of one run from equilibrium. Each response is computed when it is first needed.
 
-    For a law in Python they are the vehicle's responses to the forces that it requested: linear analysis does not cover the law.
-    A run whose controller sets adjustable dampers is not linear, and has no response. A linear law then has the continuous
-    response that it would have if all its forces were given.
+    Linear analysis does not cover a Python control law. The responses for such a law are those of the vehicle to the forces
+    that the law requested. A run whose controller sets semi-active dampers is not linear and has no sampled response. For a
+    linear law, the continuous response then assumes that the dampers supply all requested forces.
 
     Attributes:
-        input: the vehicle, with the limits and implementation of this run, and its road.
+        input: vehicle with the limits and the implementation of this run, and its road.
         controller: controller of the run.
-        requested_force: commands of a law in Python, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for others.
-        replayed: True if the law in Python is not run, and its commands come from a log.
-        most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
+        requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for other
+            controllers.
+        replayed: True if the commands of a Python control law come from a log, so that the law is not run.
+        most_states: largest number of states, including delayed forces, of a loop whose eigenvalues are computed.
     """
 
     input: RoadInput
@@ -49,23 +50,25 @@ class Prediction:
 
     @property
     def sampled(self) -> Response:
-        """Response of the sampled loop: exact if that is linear; with characteristics that of RK4. NaN if a law switches
-        adjustable dampers, which is not linear.
+        """Response of the sampled loop.
+
+        The response is exact if the loop is linear; with characteristics, it is the response of RK4. All values are NaN if a law
+        sets semi-active dampers, because the loop is not linear.
         """
         return self._sampled[0]
 
     @property
     def integrated(self) -> Response:
-        """The same as RK4 makes it."""
+        """Response of the sampled loop, as integrated by RK4."""
         return self._sampled[1]
 
     @property
     def finer(self) -> Response | None:
-        """`sampled` without RK4's own error, as estimated; None if it has no such error."""
+        """`sampled` without the estimated error of RK4; None if `sampled` is exact."""
         return self._sampled[2]
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def continuous(self) -> Response:
         """Exact linear response of the continuous closed loop; NaN if the law is not linear."""
         if self.controller.linear is True:
@@ -77,7 +80,10 @@ class Prediction:
 
     @cached_property
     def radius(self) -> float:
-        """Growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear."""
+        """Spectral radius of the sampled loop per time step; above 1 the loop is unstable.
+
+        NaN if the loop is too large or not linear.
+        """
         if not is_linear(self.controller, self.vehicle):
             return math.nan
         loop = loop_of(self.vehicle, self.controller, self.timestep)
@@ -85,13 +91,13 @@ class Prediction:
 
     @cached_property
     def loop(self) -> Loop | None:
-        """The linear loop in continuous time, or None."""
+        """Linear loop in continuous time; None if the loop is not linear."""
         return loop_of(self.vehicle, self.controller) if is_linear(self.controller, self.vehicle) else None
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def _sampled(self) -> tuple[Response, Response, Response | None]:
-        """Returns `sampled`, `integrated` and `finer`."""
+        """The responses `sampled`, `integrated` and `finer`."""
         controller, road = self.controller if self.controller.linear is True else None, self.input
         if not self.is_linear:
             states = self.continuous.signals[len(self._nothing.signals) :]
@@ -119,12 +125,12 @@ class Prediction:
 
     @property
     def vehicle(self) -> Vehicle:
-        """The vehicle, with the limits and implementation of this run."""
+        """Vehicle with the limits and the implementation of this run."""
         return self.input.vehicle
 
     @property
     def road(self) -> Road:
-        """The road."""
+        """Road of this run."""
         return self.input.road
 
     @property
@@ -134,22 +140,22 @@ class Prediction:
 
     @property
     def timestep(self) -> float:
-        """Returns the timestep of the run [s]."""
+        """Time step of the run [s]."""
         return self.input.timestep
 
     @property
     def is_linear(self) -> bool:
-        """Returns True if there is a sampled response: the dampers are not adjusted."""
+        """True if there is a sampled response, because no semi-active damper is set."""
         return not self.vehicle.dampers or not self.controller.acts
 
     @property
     def reference(self) -> str:
-        """Names the response with which a run is compared."""
+        """Name of the response with which a run is compared."""
         return NONLINEAR if self.vehicle.parts.nonlinear else LINEAR
 
     @cached_property
     def linearised(self) -> Response | None:
-        """The same sampled response with the line at equilibrium of every characteristic; None if nothing differs from lines."""
+        """Sampled response with every characteristic linearised at equilibrium; None if all characteristics are linear."""
         if not (self.vehicle.parts.nonlinear and self.is_linear):
             return None
         road = RoadInput(self.vehicle.linearised, self.road, self.time)
@@ -160,35 +166,35 @@ class Prediction:
 
     @property
     def cause(self) -> str:
-        """Names what a run contains and its sampled response does not; empty if they differ by RK4's own error alone."""
+        """Text with the effects that a run contains, but its sampled response does not; empty if only RK4's own error remains."""
         noise = self.vehicle.implementation.noise_text if self.is_blurred else ""
         geometry = "geometry" if has_geometry(self.vehicle) else ""
         return " and ".join(filter(None, (geometry, noise, self.rounding_text)))
 
     @property
     def is_blurred(self) -> bool:
-        """Returns True if its controller measures with noise or quantisation."""
+        """True if the measurements of the controller contain noise or quantisation."""
         how = self.vehicle.implementation
         return bool({*how.noise, *how.quantisation} & {*self.controller.measured})
 
     @property
     def varies(self) -> bool:
-        """Returns True if its controller answers differently at another step: by noise, quantisation or rounding."""
+        """True if noise, quantisation or rounding give the controller other commands at another time step."""
         return self.is_blurred or bool(self.rounding_text)
 
     @property
     def rounding_text(self) -> str:
-        """Returns the numbers to which exported code rounds; empty without code, or in double."""
+        """Number format to which exported code rounds, as text; empty without code, or for double precision."""
         code = self.controller.code
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
 def predict_run(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
-    """Returns the prediction of one run from rest.
+    """Returns the prediction of a run from equilibrium.
 
     Args:
         commands: commands of the actuators in the run, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
-        most_states: see `Prediction`.
+        most_states: argument of `Prediction`.
     """
     requested = commands if controller.user_code else np.zeros((0, 0))
     return Prediction(road, controller, requested, most_states=most_states)

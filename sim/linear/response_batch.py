@@ -1,7 +1,7 @@
-"""Exact linear responses of N runs of linear laws side by side, block by block, sampled as in `sim.linear.sampled_response`.
+"""Exact linear responses of N runs with linear laws, computed together in blocks, as in `sim.linear.sampled_response`.
 
-With the state xi before the road jumps, and inputs v, xi' = A xi + sum of B v and y = C xi + sum of D v. Sums run over states one
-by one, which takes half the time of a product of small matrices.
+With the state xi, which does not jump with the road, and inputs v, xi' = A xi + sum of B v and y = C xi + sum of D v. The sums
+are evaluated state by state, which takes half the time of products of small matrices.
 """
 
 from collections.abc import Callable
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 
 class ResponseBatch:
-    """Responses of the runs of a batch.
+    """Linear responses of the runs of a batch.
 
     Attributes:
         outputs: names of the outputs of the linear model.
-        index: place of each output among the signals of the vehicle.
+        index: index of each output among the signals of the vehicle.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -49,7 +49,8 @@ class ResponseBatch:
         distinct = dict(zip(keys, batch.cases, strict=True))
         loops = {key: _closed_loop(one.vehicle, one.driver, timestep) for key, one in distinct.items()}
         systems = [loops[key].part(self.outputs, loops[key].inputs) for key in keys]
-        # By entry of the matrices, runs last: shapes (n, n, N) and (p, n, N); of each input (T, N, r), (n, r, N) and (p, r, N).
+        # Entries of the matrices, with the runs in the last axis: shapes (n, n, N) and (p, n, N); for each input (T, N, r), (n,
+        # r, N) and (p, r, N).
         self._A, self._C, B, D = (np.stack([getattr(one, name) for one in systems], axis=-1) for name in "ACBD")
         columns = [systems[0].columns(names) for _, names in groups]
         self._inputs = [(values, B[:, some], D[:, some]) for (values, _), some in zip(groups, columns, strict=True)]
@@ -61,7 +62,7 @@ class ResponseBatch:
                 self._xi[: len(start), i] = start
 
     def block(self, samples: slice) -> Callable[[int], Array]:
-        """Returns what gives each output, by its number, over the next samples of all runs, shape (B, N)."""
+        """Advances all runs over the next samples. Returns a function that computes an output from its index, shape (B, N)."""
         inputs = [(np.moveaxis(one[samples], 1, 2), B, D) for one, B, D in self._inputs]
         push = np.stack([sum(_row(B[i], one) for one, B, _ in inputs) for i in range(len(self._xi))], axis=1)
         states, products, moving = np.empty_like(push), np.empty_like(self._A), list(self._batch.steady(samples))
@@ -81,13 +82,13 @@ class ResponseBatch:
 
 
 def _closed_loop(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
-    """Returns the closed loop from step to step, of a law that acts at once or not at all."""
-    law = cast("Controller", driver)  # it is linear
+    """Returns the closed loop from step to step, for a law without delay."""
+    law = cast("Controller", driver)  # the driver is a linear controller
     return loop_of(replace(vehicle, implementation=Implementation()), law, timestep).closed_loop
 
 
 def _row(row: Array, inputs: Array) -> Array:
-    """Returns the product of a row of such a matrix, shape (r, N), and inputs (B, r, N), shape (B, N)."""
+    """Returns the product of a row of a matrix, shape (r, N), and inputs, shape (B, r, N), as shape (B, N)."""
     total = np.zeros((len(inputs), row.shape[1]))
     for j in np.flatnonzero(row.any(axis=1)):
         total += row[j] * inputs[:, j]

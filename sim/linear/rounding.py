@@ -1,9 +1,9 @@
-"""Effect of rounding on the signals of a run.
+"""Effect of rounding errors on the signals of a run.
 
-Rounding moves signals whatever the road. MuJoCo holds a vehicle up by lengths of about a metre, rounded to 1e-16 of it, and
-by balanced forces of its whole weight. The error of a signal is the same over a bump of a decimetre and of a micrometre. The
-model of it: every length among the states moves by a few roundings, every velocity by that times the vehicle's fastest rate.
-The outputs follow from the linear model.
+Rounding errors do not depend on the road. MuJoCo supports a vehicle by lengths of about a metre, rounded relatively to 1e-16,
+and by balanced forces of its total weight. The error of a signal is therefore the same for a bump of a decimetre and a bump of
+a micrometre. In the error model, every length among the states changes by a few rounding errors, and every velocity by this
+amount times the vehicle's fastest rate. The linear model gives the effect on the outputs.
 """
 
 import numpy as np
@@ -14,17 +14,20 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController
 
-LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
+LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; over roads of 1e-9 m, errors of up to 5e-16 m were measured in 20000 steps
 LENGTHS = ("m", "rad")
-RATES = 400  # number of frequencies at which a law's gain is evaluated
+RATES = 400  # number of frequencies at which the gain of a law is evaluated
 
 
 def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, float]:
-    """Bounds the effect of rounding on every output signal [the signal's unit]; without a linear one, under given forces."""
+    """Returns a bound on the rounding error of every output signal [unit of the signal].
+
+    The forces of a nonlinear law count as exact.
+    """
     model = vehicle.linear_model
     rate, moved_states = effect_on_states(vehicle)
     pushed = np.zeros(len(model.inputs))
-    if vehicle.dampers:  # the force of a damper is rounded as its velocity is
+    if vehicle.dampers:  # the force of a damper has a rounding error, because its velocity has one
         pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
             one.steepest_slope for one in vehicle.parts.adjustable
         ]
@@ -32,26 +35,32 @@ def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, f
     if controller is None or controller.linear is False:
         return dict(zip(model.outputs, (np.abs(model.C) @ moved_states + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _largest_gain(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
-    if controller.law.states:  # its forces may far exceed those of a static gain, and move the states
+    # the forces of a law with states may be much larger than those of a static gain, and affect the states
+    if controller.law.states:
         moved_states = moved_states + np.abs(model.B) @ (gain @ moved_states) / rate
     moved = np.abs(model.C) @ moved_states + np.abs(model.D) @ (pushed + gain @ moved_states)
     return dict(zip(model.outputs, moved.tolist(), strict=True))
 
 
 def effect_on_states(vehicle: Vehicle) -> tuple[float, Array]:
-    """Returns the fastest rate [rad/s], and the effect of rounding on every state, shape (n,)."""
+    """Returns the fastest rate of the vehicle [rad/s], and the effect of rounding on every state, shape (n,)."""
     model, kind = vehicle.linear_model, vehicle.kind
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     n = len(model.states) - len(kind.of_parts)
     moved_states = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states[:n]])
-    of_parts = np.abs(model.A[n:, :n]) @ moved_states / (rate or 1.0)  # in any unit
+    of_parts = np.abs(model.A[n:, :n]) @ moved_states / (rate or 1.0)  # in the units of the parts' states
     return rate, np.concatenate([moved_states, of_parts])
 
 
 def _largest_gain(law: LinearLaw, fastest: float) -> Array:
-    """Returns a law's largest gain on each measurement, at rates up to twice that of the vehicle [rad/s], shape (m, q).
+    """Returns the largest gain of a law for each measurement, at frequencies up to twice the vehicle's rate, shape (m, q).
 
-    The lowest rate is a wave of minutes, longer than a run, as the gain of an integrator below it does not matter in a run.
+    Args:
+        law: control law in continuous time.
+        fastest: fastest rate of the vehicle [rad/s].
+
+    The lowest frequency has a period of minutes, longer than a run. The gain of an integrator at lower frequencies has no
+    effect in a run.
     """
     if not law.states:
         return np.abs(law.D)

@@ -1,29 +1,31 @@
-"""The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
+"""Exact linear responses of the sampled loop that MuJoCo simulates, and of the paper's continuous closed loop.
 
-Sampled. The controller is held over a step, and so is the road: at its midpoint height, and a measured road at its mean height
-over the step (`RoadInput.midway`), where `sim.drive` puts it. With xi = x - Bw z_r, the state that does not jump when the road
-does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step everything on the right but xi is constant:
+Sampled loop. The forces are held over each step. The road is held, too: at its midpoint height or, for a measured road, at its
+mean height over the step (`RoadInput.midway`), as in `sim.drive`. The state xi = x - Bw z_r does not jump with the road. With
+xi, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r. Over a step, u and z_r are constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; held z_r],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
-If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J takes its place here, and Bt pushes by the road's mean velocity
-over the step, held like a load.
+If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J then replaces Bw in these equations. Bt acts on the mean road
+velocity over the step, which is held like a load.
 
-If a damper or a spring has a curve, the response is that of RK4 (`sim.linear.stepped`), whatever the exponential.
+If a damper or a spring has a characteristic, the response is that of RK4 (`sim.linear.stepped`), regardless of `exponential`.
 
-Loads f on the body (`models/roads/loads/`) are held over a step as the road is, those of files at their means. They enter as u
-does, with Bl in the place of B. Signals at a sample, and measurements, are under the load there. A law with states, and a
-measured acceleration, make the state larger (`synth/plant/loop.py`), and the formulas stay as they are.
+Loads f on the body (`models/roads/loads/`) are held over each step, as the road is; loads from files are held at their means.
+Loads enter the equations like u, with Bl instead of B. Signals and measurements at a sample use the load at the sample. A law
+with states and a measured acceleration enlarge the state (`synth/plant/loop.py`), but the equations remain the same.
 
-Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
+Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
     x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
 
-by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
+The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding for a smooth road. A step with
+a kink of the road is divided at the kink.
 
-Preview. The forces from the road ahead add to those of the gain. Sampled, they are known sums over its heights. Continuous, they
-are Cp g, with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r, which decays backwards in time. With P of the
-Sylvester equation A_G P + P Ap + B Cp = 0, y = x - P g has the road alone on its right, and g is computed apart:
+Preview. The forces from the road ahead are added to those of the gain. In the sampled loop, they are known sums over the road
+heights. In the continuous loop, they are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r, which
+decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. For y = x - P g, only the road remains on the
+right-hand side, and g is computed separately:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
 """
@@ -51,25 +53,29 @@ from synth.plant.state_space import StateSpace
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
 
-NODES = 8  # of the quadrature over a step
-WHOLE = 1e-9  # relative: a preview this near to an integer of steps is one
+NODES = 8  # nodes of the quadrature over a step
+WHOLE = 1e-9  # relative; a preview time this close to an integer number of steps counts as an integer
 
 
-SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not move within any run, and the step for it would overflow
+SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not change within any run, and its time step would overflow
 
 
 def taylor4(M: Array) -> Array:
-    """Returns RK4's matrix exponential: the Taylor polynomial of degree 4. For a linear system RK4 is exactly that."""
+    """Returns the matrix exponential as RK4 approximates it: the Taylor polynomial of degree 4.
+
+    For a linear system, RK4 is exactly this polynomial.
+    """
     identity = np.eye(len(M))
     return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
 
 
 def sampled_response(controller: Controller, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response of the sampled loop at the timestep of the road's samples, from rest.
+    """Returns the response of the sampled loop from equilibrium, at the sample times of the road.
 
     Args:
         controller: linear controller of the road's vehicle.
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
+        road: road, with its vehicle.
+        exponential: function for the matrix exponential; `taylor4` predicts RK4 up to rounding.
     """
     model = road.vehicle.linear_model
     return with_linear_sides(
@@ -80,9 +86,9 @@ def sampled_response(controller: Controller, road: RoadInput, exponential: Calla
 def sampled_responses(
     controller: Controller, roads: Sequence[RoadInput], exponential: Callable[[Array], Array] = linalg.expm
 ) -> Response:
-    """Returns the responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`.
+    """Returns the responses to N roads, values of shape (N, T, S). Arguments as for `sampled_response`.
 
-    Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
+    The signals of the vehicle are followed by the states of the law, each at the last sample of the law.
     """
     vehicle, h = roads[0].vehicle, roads[0].timestep
     if vehicle.parts.nonlinear:
@@ -96,7 +102,7 @@ def sampled_responses(
 
 
 def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
-    """Returns what acts on a vehicle over the steps of N roads, by the names of a sampled `loop_of`, shape (N, T) each."""
+    """Returns the inputs of a vehicle over N roads by the names of a sampled `loop_of`, shape (N, T) each."""
     model = roads[0].vehicle.linear_model
     groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
     if any(road.has_held_inputs for road in roads):
@@ -110,7 +116,7 @@ def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
 
 
 def continuous_response(controller: Controller, road: RoadInput) -> Response:
-    """Returns the response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
+    """Returns the response of the continuous closed loop (16), from equilibrium. Arguments as for `sampled_response`."""
     loop, preview, model = loop_of(road.vehicle, controller), controller.preview, road.vehicle.linear_model
     system = loop.closed_loop.part(shown_outputs(loop), loop.closed_loop.inputs)
     Phi = linalg.expm(system.A * road.timestep)
@@ -131,12 +137,12 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
 
 
 def shown_outputs(loop: Loop) -> tuple[str, ...]:
-    """Returns the names of the outputs that `shown_signals` takes: those of the plant, and the states of the law."""
+    """Returns the names of the outputs that `shown_signals` needs: the outputs of the plant, and the states of the law."""
     return (*loop.plant.outputs, *loop.law_states)
 
 
 def shown_signals(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
-    """Returns all signals of the vehicle and of the law, from `shown_outputs` over N roads, shape (N, T, p)."""
+    """Returns all signals of the vehicle and of the law from the outputs `shown_outputs` over N roads, shape (N, T, p)."""
     runs = [response_by_name(road, loop.plant.outputs, values) for road, values in zip(roads, outputs, strict=True)]
     kept = controller.law.of_state(loop.period or None) * outputs[..., len(loop.plant.outputs) :]
     vehicle = Response(roads[0].time, roads[0].vehicle.kind.signals, np.stack([run.values for run in runs]))
@@ -144,14 +150,14 @@ def shown_signals(loop: Loop, roads: Sequence[RoadInput], outputs: Array, contro
 
 
 def acting_on(system: StateSpace, road: RoadInput, forces: Array) -> Array:
-    """Returns what forces, a road and its loads add to the outputs of a continuous system at the samples, shape (T, p)."""
+    """Returns the contribution of forces, road and loads to the outputs of a continuous system at the samples, shape (T, p)."""
     model = road.vehicle.linear_model
     names = (*model.inputs, *model.disturbances, *with_ending(model.disturbances, HEIGHT), *model.loads)
     return np.hstack([forces, road.velocities, road.heights, road.loads]) @ system.D[:, system.columns(names)].T
 
 
 def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
-    """Returns what a road and its loads add to the states of a continuous system over the step from each sample, (T, n)."""
+    """Returns the contribution of a road and its loads to the states of a continuous system over each step, shape (T, n)."""
     road, vehicle, model, A = road_input.relative_road, road_input.vehicle, road_input.vehicle.linear_model, system.A
     Bw, Br, Bl = (system.part((), some).B for some in (model.disturbances, with_ending(model.disturbances, HEIGHT), model.loads))
 
@@ -169,12 +175,12 @@ def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
 
 
 def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
-    """Returns g at the samples, shape (T, k), P, shape (n, k), and the drive of y over the steps from them, shape (T, n).
+    """Returns g at the samples, shape (T, k), the matrix P, shape (n, k), and the input of y over the steps, shape (T, n).
 
-    A random road costs most where it is evaluated, so every node of the quadrature is used for all three integrals.
+    The evaluation of a random road takes most of the time, so every quadrature node is used for all three integrals.
 
     Args:
-        system: the closed loop from the forces.
+        system: closed loop from the forces.
     """
     A, B = system.A, system.B
     road, vehicle, time, h, T = (
@@ -190,12 +196,12 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
     P = linalg.solve_sylvester(A, preview.A, -B @ preview.C)
 
     def met(t: Array) -> Array:
-        """Returns d, shape (T, k)."""
+        """Returns d at given times, shape (T, k)."""
         pushed = under_wheels(road.velocity, road, vehicle, t) @ preview.B.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ preview.H.T if preview.H.any() else pushed
 
     def change(t: Array) -> Array:
-        """Returns what comes in at t, less what it leaves at t + T, shape (T, k)."""
+        """Returns the change of d within the preview at given times: new at t, leaving at t + T, shape (T, k)."""
         return met(t) - met(t + T) @ later.T
 
     def back(push: Callable[[Array], Array], left: float, right: float, start: float) -> Array:
@@ -204,7 +210,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
         return linalg.expm(preview.A * (left - start)) @ piece
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    after = time[-1] + h * np.arange(whole)  # the preview at the end of the run
+    after = time[-1] + h * np.arange(whole)  # sample times within the preview at the end of the run
     drive, ahead, end = np.zeros((count, len(A))), np.zeros((count, len(preview.A))), np.zeros((len(after), len(preview.A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
         known = met(time[0] + h * np.arange(count + whole) + s)
@@ -226,7 +232,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
             drive[steps] = _at_cuts(A, lambda t: change(t) @ P.T, cuts, h)
     Phi = linalg.expm(preview.A * h)
     last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
-    if not in_steps:  # a part of a step is left
+    if not in_steps:  # a part of a step remains
         left, right = time[-1] + whole * h, time[-1] + T
         edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
         last = last + sum(back(met, *pair, time[-1]) for pair in itertools.pairwise(edges))
@@ -238,7 +244,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
 
 
 def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
-    """Returns the contribution of jumps of the road's height to g at the samples, shape (T, k): from T ahead to just before."""
+    """Returns the contribution to g of jumps of the road height within the preview, at the samples, shape (T, k)."""
     time, h = road_input.time, road_input.timestep
     seen = np.zeros((len(time), len(preview.A)))
     for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
@@ -249,14 +255,16 @@ def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
 
 
 def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from a start, shape (n,), with its last, shape (T + 1, n); see `recursion`."""
+    """Returns the solution of x[k+1] = Phi x[k] + forcing[k], shape (T + 1, n), from a start, shape (n,); see `recursion`."""
     return recursion(Phi, np.concatenate([start[None], forcing, start[None]]))[1:]
 
 
 def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
-    """Returns the contribution of jumps of the road's height, as impulses of its velocity through Bw, to the step that has them.
+    """Returns the contribution of jumps of the road height to the steps in which they occur, shape (T, n).
 
-    One at a sample belongs to the step from there. Each acts so many seconds before it is met.
+    A jump is an impulse of the road velocity, which acts through Bw.
+
+    A jump at a sample belongs to the step that begins there. Each jump acts `ahead` seconds before the wheel reaches it.
     """
     time, h = road_input.time, road_input.timestep
     leaps = np.zeros((len(time), len(A)))
@@ -269,8 +277,13 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
 
 
 def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
-    """Returns the integral of push(t) in x' = A x + push(t) over the step from each of these times [s], shape (T, n); cut at
-    kinks [s].
+    """Returns the integral of push(t) in x' = A x + push(t) over the step from each given time, shape (T, n).
+
+    Args:
+        A: system matrix, shape (n, n).
+        push: function of times that returns the inputs, shape (.., n).
+        kinks: times at which the steps are divided [s].
+        time: start of each step [s].
     """
     h = float(time[1] - time[0])
     forcing, cuts = _convolution(A, push, time, h), _cut_steps(kinks, time, h)
@@ -278,11 +291,13 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
     return forcing
 
 
-FEW = 64  # cut steps, each with matrix exponentials of its own; of more, as on a measured road, these are interpolated
+# number of divided steps up to which each has its own matrix exponentials; with more, as on a measured road, these are
+# interpolated
+FEW = 64
 
 
 def _at_cuts(A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int, list[float]]]", h: float) -> Array:
-    """Returns the contribution of push(t) over each of these steps, see `_pieces`, shape (K, n)."""
+    """Returns the contribution of push(t) over each of the divided steps, see `_pieces`, shape (K, n)."""
     if len(cuts) > FEW:
         return _many_pieces(A, push, cuts, h)
     return np.array([_pieces(A, push, edges) for _, edges in cuts]).reshape(len(cuts), len(A))
@@ -291,9 +306,12 @@ def _at_cuts(A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int
 def _many_pieces(
     A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int, list[float]]]", h: float, backward: bool = False
 ) -> Array:
-    """Returns the integral of exp(A (end - t)) push(t) over each step, or of exp(A (t - start)) push(t), shape (K, n).
+    """Returns the integral of exp(A (end - t)) push(t) over each step, shape (K, n).
 
-    The exponential over up to a step is a Chebyshev polynomial of degree 15: exact to rounding at any step that RK4 bears.
+    If `backward` is True, the integrand is exp(A (t - start)) push(t).
+
+    The exponential within a step is approximated by a Chebyshev polynomial of degree 15, which is exact up to rounding for
+    every step at which RK4 is stable.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     pieces = np.array(
@@ -304,7 +322,7 @@ def _many_pieces(
     t = left[:, None] + half * (nodes + 1)
     pushed = (half * weights).ravel()[:, None] * push(t.ravel())
     way = (t - start[:, None] if backward else end[:, None] - t).ravel()
-    at = np.cos(np.pi * (np.arange(CHEBYSHEV) + 0.5) / CHEBYSHEV)  # on [-1, 1], as is 2 way / h - 1
+    at = np.cos(np.pi * (np.arange(CHEBYSHEV) + 0.5) / CHEBYSHEV)  # nodes on [-1, 1], the range of 2 way / h - 1
     known = np.stack([linalg.expm(A * (h * (1 + x) / 2)) for x in at]).reshape(CHEBYSHEV, -1)
     shares = np.linalg.solve(np.polynomial.chebyshev.chebvander(at, CHEBYSHEV - 1), known).reshape(CHEBYSHEV, *A.shape)
     basis = np.polynomial.chebyshev.chebvander(2 * way / h - 1, CHEBYSHEV - 1)
@@ -314,11 +332,11 @@ def _many_pieces(
     return total
 
 
-CHEBYSHEV = 16  # nodes
+CHEBYSHEV = 16  # number of nodes
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
-    """Returns the steps from these times [s] that hold a kink, each with its ends and kinks in between [s]."""
+    """Returns the steps from given times [s] that contain a kink, each with its ends and the kinks between them [s]."""
     found = []
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():
         if 0 <= k < len(time):
@@ -328,7 +346,7 @@ def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[floa
 
 
 def _pieces(A: Array, push: Callable[[Array], Array], edges: Sequence[float]) -> Array:
-    """Returns the contribution of push(t) to x' = A x + push(t) from the first of these times to the last [s], shape (n,)."""
+    """Returns the contribution of push(t) to x' = A x + push(t) from the first to the last of the given times, shape (n,)."""
     total = np.zeros(len(A))
     for left, right in itertools.pairwise(edges):
         total += linalg.expm(A * (edges[-1] - right)) @ _convolution(A, push, np.array([left]), right - left)[0]
@@ -336,7 +354,7 @@ def _pieces(A: Array, push: Callable[[Array], Array], edges: Sequence[float]) ->
 
 
 def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:
-    """Returns the integral of exp(A (h - s)) push(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
+    """Returns the integral of exp(A (h - s)) push(start + s) over s from 0 to h, for start times of shape (T,), shape (T, n)."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
@@ -346,9 +364,10 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
 
 
 def largest_timestep(vehicle: Vehicle) -> float:
-    """Returns the step [s] above which RK4 is unstable on the vehicle without control, to 1 %; infinite if nothing moves.
+    """Returns the largest stable time step of RK4 for the vehicle without control [s], to 1 %; infinite if nothing moves.
 
-    Adjustable dampers count at their softest and hardest, and with the lag of their valves; states of parts at their fastest.
+    Semi-active dampers count at their softest and hardest setting, and with the lag of their valves. States of parts count at
+    their fastest rate.
     """
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]
@@ -362,7 +381,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
 
 
 def _largest_timestep(A: Array) -> float:
-    """Returns the largest stable step of RK4 on x' = A x [s]."""
+    """Returns the largest time step at which RK4 is stable for x' = A x [s]."""
     rate = float(np.abs(np.linalg.eigvals(A)).max())
     if rate <= SLOWEST_RATE:
         return math.inf

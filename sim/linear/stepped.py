@@ -1,17 +1,18 @@
-"""Response of a vehicle that is linear except for the forces of its suspensions, in steps of RK4, as MuJoCo integrates.
+"""Response of a vehicle that is linear except for its suspension forces, in steps of RK4, as MuJoCo integrates.
 
-With xi as in `sim.linear.sampled_response`, f the forces of `SuspensionForces` and E their effect on the states,
+The state xi is that of `sim.linear.sampled_response`, f are the forces of `SuspensionForces`, and E is their effect on the
+states:
 
     xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
-with d, v and the own states z of parts linear in x. If these states are not linear, their rates beyond those of the linear model
-are further forces f. If the inertance at a motion ratio differs by b(d) from that in A, f has b(d) v', too, and v' = V xi'. Over
-a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step are products with matrices that
-are known beforehand, and only f is evaluated stage by stage.
+The deflections d, their rates v and the states z of parts are linear in x. If the states of parts are not linear, their
+additional rates are further forces in f. If the inertance at a motion ratio differs by b(d) from that in A, f also contains
+b(d) v' with v' = V xi'. The force u, the road z_r and the loads l are held over each step. Only f is nonlinear. The four stages
+of a step are therefore products with matrices that are computed in advance, and only f is evaluated in each stage.
 
-Forces of actuators and coefficients of adjustable dampers act through their lag, and through the motion ratio at each stage. At
-every sample a law requests forces, and each adjustable damper takes the coefficient within its range that comes next to its
-force. No limit of travel or force acts.
+Actuator forces and the coefficients of semi-active dampers act through their lag, and through the motion ratio at each stage.
+At every sample, a law requests forces, and each semi-active damper takes the coefficient in its range that comes closest to its
+requested force. Limits of travel and force are not included.
 """
 
 from collections.abc import Sequence
@@ -41,14 +42,15 @@ from synth.controller.controller import Controller
 
 
 class Stepper:
-    """Steps of N runs of a vehicle with m inputs, over which inputs, road and loads are held.
+    """Steps of N runs of a vehicle with m inputs. Inputs, road and loads are held over each step.
 
     Attributes:
-        model: linear model of n states, the last of which are the inputs that lag. Coefficients of dampers have no effect in it.
+        model: linear model with n states, of which the last are the lagging inputs. The coefficients of dampers have no effect
+            in this model.
     """
 
     def __init__(self, vehicle: Vehicle, timestep: float) -> None:
-        """Prepares the steps; `timestep` in s."""
+        """Prepares the steps. `timestep` is in s."""
         self._vehicle = vehicle
         self.model, acting, at_once = _with_lags(vehicle)
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
@@ -57,8 +59,9 @@ class Stepper:
         (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
         self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
         V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
-        self._response = V[:, : len(push)] @ push  # of v' to forces
-        push = np.hstack([push, np.eye(len(push), own, own - len(push))])  # own states are the last ones of the linear model
+        self._response = V[:, : len(push)] @ push  # change of v' per unit of force
+        # the states of parts are the last ones of the linear model
+        push = np.hstack([push, np.eye(len(push), own, own - len(push))])
         w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching_rates(vehicle) if vehicle.dampers else np.zeros((m, n))
@@ -75,7 +78,7 @@ class Stepper:
         self._rows = np.vstack([rows, V @ model.A]).T
         self._of_road = np.vstack([of_road, V @ (model.A @ model.jump + model.Br)]).T
         self._of_inputs, self._of_held = np.vstack([of_inputs, V @ model.B]).T, V @ model.Bh
-        # All that a step has, by what it depends on: states, inputs, road, loads, and the forces of the four stages.
+        # Matrices of a whole step. Their columns belong to states, inputs, road, loads, and the forces of the four stages.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
         start = total = np.eye(n, forces + 4 * w)
@@ -99,7 +102,7 @@ class Stepper:
         self._stages = [slice(n + i * width, n + (i + 1) * width) for i in range(len(stages))]
 
     def outside(self, inputs: Sequence[RoadInput]) -> Array:
-        """Returns what roads and loads add to each step of N runs, shape (T, N, k)."""
+        """Returns the contribution of roads and loads to each step of N runs, shape (T, N, k)."""
         wheels, pushed = inputs[0].midway.shape[1], any(road.has_held_inputs for road in inputs)
         parts = ("midway", "held_inputs") if pushed else ("midway",)
         held = np.stack([np.hstack([getattr(road, name) for name in parts]) for road in inputs], axis=1)
@@ -109,8 +112,8 @@ class Stepper:
         """Returns xi after a step, shape (N, n).
 
         Args:
-            xi: xi before the step, shape (N, n).
-            added: what road, loads and inputs add, shape (N, k), see `outside` and `by_inputs`.
+            xi: state xi before the step, shape (N, n).
+            added: contribution of road, loads and inputs, shape (N, k), see `outside` and `by_inputs`.
         """
         known, s, w = xi.dot(self._of_states), self._s, self._s + self._own
         known += added
@@ -129,7 +132,7 @@ class Stepper:
         """Returns the forces of the suspensions [N], shape (..., N, s).
 
         Args:
-            xi: shape (..., N, n).
+            xi: state xi, shape (..., N, n).
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
             held: loads, and road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None for zero.
@@ -140,14 +143,14 @@ class Stepper:
         return self._pulls(*self._at(y))
 
     def _at(self, y: Array) -> tuple[tuple[Array, Array, Array, Any], Array]:
-        """Returns what forces depend on, as `SuspensionForces` takes it, and v' without them; of a stage, shape (..., N, k)."""
+        """Returns the arguments of `SuspensionForces`, and v' without these forces, from a stage's values, shape (..., N, k)."""
         s, last = self._s, y.shape[-1] - len(self._response)
         end = last - self._own
         inputs = y[..., 2 * s : end] if self._still is None else self._still
         return (y[..., :s], y[..., s : 2 * s], inputs, y[..., end:last] if self._own else None), y[..., last:]
 
     def _pulls(self, at: tuple[Array, Array, Array, Any], free: Array) -> Array:
-        """Returns the forces with those of inertial parts [N], shape (..., N, s); see `_at`."""
+        """Returns the suspension forces, including those of inertial parts [N], shape (..., N, s); arguments from `_at`."""
         f = self._forces(*at)
         if not len(self._response):
             return f
@@ -156,13 +159,13 @@ class Stepper:
         return np.linalg.solve(held, (f + b * free)[..., None])[..., 0]
 
     def speeds(self, xi: Array, heights: Array) -> Array:
-        """Returns the stretching rates of adjustable dampers [m/s], shape (..., m); arguments as for `pulls`."""
+        """Returns the extension rates of semi-active dampers [m/s], shape (..., m). Arguments as for `pulls`."""
         travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s]
         x = (xi + heights @ self.model.jump.T)[..., : len(self._vehicle.linear_model.states)]
         return x @ self._stretching.T * self.ratios.turns(travels)
 
     def closing(self, of: CoefficientRange, xi: Array, heights: Array) -> Array:
-        """Returns `CoefficientRange.closing`; arguments as for `pulls`."""
+        """Returns the values of `CoefficientRange.closing`. Arguments as for `pulls`."""
         travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s] if of.elements else xi[..., : self._s]
         last = len(self._vehicle.linear_model.states)
         return of.closing(self.speeds(xi, heights), travels, xi[..., last - self._own : last])
@@ -171,8 +174,8 @@ class Stepper:
         """Returns all signals of a run, shape (T, S).
 
         Args:
-            xi, inputs: states and held inputs at the samples, shapes (T, n) and (T, m).
-            missing: forces that adjustable dampers omit [N], shape (T, m) or, without such dampers, (T, 0).
+            xi, inputs: states xi and held inputs at the samples, shapes (T, n) and (T, m).
+            missing: forces that semi-active dampers do not supply [N], shape (T, m); (T, 0) without semi-active dampers.
         """
         vehicle, model, beside, x = self._vehicle, self.model, None, xi + road.heights @ self.model.jump.T
         held = road.in_signals[:, None] if road.has_held_inputs else None
@@ -191,16 +194,17 @@ class Stepper:
                 given = of.forces(coefficients, self.closing(of, xi, road.heights))
                 beside |= {model.inputs[one.column]: given[:, one.column] for one in of.elements}
         response = response_of(model, road, x, inputs, beyond, beside)
-        for name, parts in vehicle.kind.combined.items() if vehicle.dampers else ():  # which may have the forces of dampers
+        # these signals may contain the forces of dampers
+        for name, parts in vehicle.kind.combined.items() if vehicle.dampers else ():
             total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
             response.values[:, response.names.index(name)] = total
         return response.values
 
 
 def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
-    """Returns the linear model behind the lags of actuators and valves, and the gains from its states and inputs to what acts.
+    """Returns the linear model with the lags of actuators and valves, and the gains from states and inputs to the acting inputs.
 
-    Their shapes are (m, n) and (m, m).
+    The gains have shapes (m, n) and (m, m).
     """
     model, rates = vehicle.linear_model, lag_rates(vehicle)
     lags, pushing = np.flatnonzero(rates), ~np.isin(model.inputs, list(vehicle.dampers))
@@ -220,10 +224,10 @@ def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
 
 
 class _Laws:
-    """Laws of N runs side by side, which measure q signals at their samples. Those with fewer states than others have zeros."""
+    """Laws of N runs that measure q signals at their samples. Laws with fewer states than others are padded with zeros."""
 
     def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
-        """Prepares the laws for a period of so many timesteps."""
+        """Prepares the laws. `period` is the number of time steps per sample."""
         model, different, laws = steps.model, {id(one): one for one in controllers}, dict[int, LinearLaw]()
         for key, one in different.items():
             with error_in(f"controller {one.name!r}:"):
@@ -249,12 +253,13 @@ class _Laws:
                 self._ahead[:, i, : self._forces] = forces_ahead(one.preview, road, period)[::period]
 
     def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, law_states: Array) -> list[Array]:
-        """Returns requested forces, and states after the sample, shapes (N, m) and (N, k).
+        """Returns the requested forces and the states after a sample, shapes (N, m) and (N, k).
 
         Args:
-            sample: number of the sample.
-            xi, inputs, pulls: as of the vehicle, while the inputs act that acted before.
-            law_states: states of the laws, shape (N, k).
+            sample: index of the sample.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The inputs are those that have
+                acted until now.
+            law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]
         return np.split(
@@ -264,15 +269,16 @@ class _Laws:
 
 @dataclass(frozen=True, eq=False)
 class SteppedRuns:
-    """N runs over T samples.
+    """Results of N runs over T samples.
 
     Attributes:
         steps: steps of the vehicle.
         inputs: the N roads.
-        states: xi, shape (T, N, n).
-        given_forces: inputs that are held from each sample on, shape (T, N, m).
-        missing_forces: forces that adjustable dampers omit [N], shape (T, N, m), or (T, N, 0) without such dampers.
-        law_states: states of the laws, each as it was at the law's last sample, shape (N, T, k).
+        states: states xi at the samples, shape (T, N, n).
+        given_forces: inputs that are held from each sample to the next, shape (T, N, m).
+        missing_forces: forces that semi-active dampers do not supply [N], shape (T, N, m); (T, N, 0) without semi-active
+            dampers.
+        law_states: states of the laws, each at the last sample of its law, shape (N, T, k).
     """
 
     steps: Stepper
@@ -284,7 +290,7 @@ class SteppedRuns:
 
     @property
     def response(self) -> Response:
-        """The vehicle's signals and, after them, the states of the laws, values of shape (N, T, S)."""
+        """Signals of the vehicle, followed by the states of the laws, values of shape (N, T, S)."""
         each = (self.states, self.given_forces, self.missing_forces)
         runs = [self.steps.response(road, *(one[:, i] for one in each)) for i, road in enumerate(self.inputs)]
         response = Response(self.inputs[0].time, self.inputs[0].vehicle.kind.signals, np.stack(runs))
@@ -293,17 +299,17 @@ class SteppedRuns:
 
     @property
     def single(self) -> Response:
-        """The first response, with its values on the other side of vertical edges."""
+        """Response of the first run, with its values on the other side of vertical edges of the road."""
         model = self.steps.model
         return with_linear_sides(self.response.run(0), self.inputs[0], model.C @ model.jump + model.Cr, True)
 
     @property
     @np.errstate(over="ignore", invalid="ignore")
     def finer(self) -> Response:
-        """The same without RK4's own error, which is estimated.
+        """Response without the error of RK4, which is estimated.
 
-        The error of a step follows from two steps of half its length, side by side for all steps. It goes on as in the linear
-        model without its controller.
+        The error of a step follows from two steps of half its length, which are computed for all steps together. The error then
+        propagates as in the linear model without the controller.
         """
         h, model = self.inputs[0].timestep, self.steps.model
         half = Stepper(self.inputs[0].vehicle, h / 2)
@@ -311,18 +317,18 @@ class SteppedRuns:
         start, added = (one.reshape(-1, one.shape[-1]) for one in (self.states, added))
         end = half(half(start, added), added).reshape(self.states.shape)
         local = np.zeros_like(self.states)
-        local[:-1] = 16 / 15 * (end[:-1] - self.states[1:])  # of a method of order 4
+        local[:-1] = 16 / 15 * (end[:-1] - self.states[1:])  # error estimate for a method of order 4
         error = np.moveaxis(recursion(linalg.expm(model.A * h), np.moveaxis(local, 1, 0)), 0, 1)
         return replace(self, states=self.states + error).response
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; the run says so
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows, which its run records
 def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> SteppedRuns:
-    """Returns the runs of sampled loops from rest. Of laws with fewer states than others the last states are 0.
+    """Returns the runs of sampled loops from equilibrium. For laws with fewer states than others, the last states are 0.
 
     Args:
-        controllers: N linear controllers, whose measurements are taken without noise.
-        inputs: N roads under one vehicle, at the same sample times.
+        controllers: N linear controllers. The measurements have no noise.
+        inputs: N roads of the same vehicle, at the same sample times.
     """
     vehicle, time, h = inputs[0].vehicle, inputs[0].time, inputs[0].timestep
     how, of = vehicle.implementation, range_of([vehicle]) if vehicle.dampers else None
@@ -342,7 +348,7 @@ def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput])
     for k in range(samples):
         states[k] = xi
         if not laws.idle:
-            if k % period == 0:  # a reading contains the forces that acted until then
+            if k % period == 0:  # a measurement contains the forces that have acted until now
                 kept_along[k // period] = law_states
                 pulls = steps.pulls(xi, heights[k], now, None if readings is None else readings[k]) if laws.feels else unfelt
                 requested, law_states = laws(k // period, xi, now, pulls, law_states)
@@ -364,7 +370,7 @@ def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput])
 
 @np.errstate(over="ignore", invalid="ignore")
 def forced_run(forces: Array, road: RoadInput) -> SteppedRuns:
-    """Returns the run from rest under forces that are requested at every sample [N], shape (T, m)."""
+    """Returns the run from equilibrium with requested forces at every sample [N], shape (T, m)."""
     steps = Stepper(road.vehicle, road.timestep)
     added, states = steps.outside([road]) + (forces @ steps.by_inputs)[:, None], np.zeros((len(road.time), 1, len(steps.model.A)))
     if (start := road.vehicle.start_state) is not None:

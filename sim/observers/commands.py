@@ -1,9 +1,10 @@
-"""Comparison of a run's commands with its control law, evaluated on the run's own measurements, sample by sample.
+"""Comparison of a run's commands with its control law, which is evaluated on the run's own measurements at every sample.
 
-Every sample starts from what the run measured and from the law's recorded states, so no error of one sample hides in the next.
-Measurements must be the run's signals at the sample, and the law receives them with noise and quantisation. Commands must be
-those of the law, within the limits of adjustable dampers, and act `delay` samples later. A law in Python, an FMU and exported
-code are started again and receive the same measurements.
+Every sample starts from the measurements of the run and the recorded states of the law. An error of one sample therefore does
+not hide another. Three things are compared. The measurements must be the run's signals at the sample, to which noise and
+quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each command must act
+`delay` samples after its measurements. A Python control law, an FMU or exported code is started again and receives the same
+measurements.
 """
 
 from collections.abc import Iterator
@@ -30,25 +31,26 @@ from synth.controller.controller import AnyController, Controller
 if TYPE_CHECKING:
     from models.laws.semi_active import SemiActive
 
-SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
-EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
+SPEED = 1e-8  # m/s, and relative to the largest closing velocity; the largest difference measured is 4e-16
+# relative to the largest terms of a sum; rounding causes at most 1e-13, and a command that is late by a sample 1e-3 or more
+EXACT = 1e-10
 
 
 Difference = tuple[
     str, Array, Array, Array
-]  # name, times [s], difference and its allowed value over the peak, each of shape (K,)
+]  # name, times [s], and difference and allowed difference relative to the peak, shape (K,) each
 
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Samples of one controller.
+    """Samples of one controller that are compared.
 
     Attributes:
-        due: timesteps of the K samples.
-        period: timesteps from sample to sample.
-        y: measurements as the law receives them, shape (K, q).
-        closing_velocities: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without adjustable dampers.
-        states: states of a linear law at the samples, as it is run, shape (K, k).
+        due: indices of the time steps of the K samples.
+        period: number of time steps per sample.
+        y: measurements that the law receives, shape (K, q).
+        closing_velocities: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without semi-active dampers.
+        states: states of a linear law at the samples, in its discrete form, shape (K, k).
     """
 
     due: Array
@@ -59,11 +61,11 @@ class _Samples:
 
 
 def compare_commands(controller: AnyController, road: RoadInput, recording: Recording) -> CommandAgreement:
-    """Returns the comparison of a run's commands with its control law, until the run diverges.
+    """Compares a run's commands with its control law, until the run diverges.
 
     Args:
-        controller, road: controller, vehicle and road that the run is said to have.
-        recording: the run.
+        controller, road: controller, vehicle and road that the run should have.
+        recording: recording of the run.
     """
     vehicle, h = road.vehicle, road.timestep
     how = implementation_around(controller, vehicle)
@@ -91,14 +93,15 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
     if result.agrees or not controller.serial:
         return result
     once = answer()
-    _again(controller, road, replace(samples, due=due[: len(due) // 2]))  # a law that does not forget its last run now differs
+    # a law that still depends on its previous run now gives other commands
+    _again(controller, road, replace(samples, due=due[: len(due) // 2]))
     if any(np.any(a[2] != b[2]) for a, b in zip(once, answer(), strict=True)):
         return replace(_worst(readings, vehicle), repeatable=False)
     return result
 
 
 def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
-    """Returns the agreement of the signal with the largest ratio of difference to allowed value."""
+    """Returns the agreement for the signal with the largest ratio of difference to allowed difference."""
     worst = CommandAgreement(0.0, EXACT, vehicle.linear_model.inputs[0], np.inf)
     since = np.inf
     for name, times, far, allowed in differences:
@@ -115,9 +118,9 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
 
 
 def _readings(controller: AnyController, road: RoadInput, recording: Recording, due: Array) -> Iterator[Difference]:
-    """Yields the differences of measurements from the run's signals at the samples.
+    """Yields the differences between the measurements and the run's signals at the samples.
 
-    An acceleration is measured before the new force and load act, so that it is compared elsewhere (`sim.observers.steps`).
+    An acceleration is measured before the new force and load act. Therefore `sim.observers.steps` compares accelerations.
     """
     physics = from_steady(road, recording.response)
     rounded = roundings(road.vehicle, None)
@@ -139,11 +142,11 @@ def _readings(controller: AnyController, road: RoadInput, recording: Recording, 
 def _commands(
     controller: AnyController, road: RoadInput, samples: _Samples, recording: Recording, count: int, late: int
 ) -> Iterator[Difference]:
-    """Yields the differences of commands, and of the states of a linear law, from the law's."""
+    """Yields the differences between the run's commands and those of the law; for a linear law, also of its states."""
     vehicle, times = road.vehicle, road.time[:count]
     inputs = vehicle.linear_model.inputs
     names = (*inputs, *(f"missing {name}" for name in inputs))
-    arrived = (np.arange(count) - late) // samples.period  # sample whose command acts at each timestep
+    arrived = (np.arange(count) - late) // samples.period  # index of the sample whose command acts at each time step
     after, limiter = None, command_limiter([vehicle], road.timestep)
     logged = recording.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
     if controller.user_code is True or controller.driver_key[0] not in ("linear", "semi_active"):
@@ -167,10 +170,13 @@ def _commands(
 
 
 def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
-    """Returns the commands of samples under a rate limit, shape (K, m), each from the logged command of the sample before.
+    """Returns the commands of samples after a rate limit, shape (K, m).
+
+    Each starts from the logged command of the previous sample.
 
     Args:
-        logged: commands of the first samples, which have arrived, shape (.., m). Later commands follow from those computed here.
+        logged: commands of the samples whose commands have acted, shape (.., m). The commands of later samples start from
+            commands computed here.
     """
     before = np.zeros_like(requested)
     before[1 : len(logged) + 1] = logged[: max(len(before) - 1, 0)]
@@ -182,11 +188,11 @@ def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) ->
 def _linear(
     controller: Controller, road: RoadInput, samples: _Samples, limiter: CommandLimiter | None, logged: Array
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains.
+    """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with the allowed difference.
 
     Args:
-        limiter: limiter of a rate limit, or None.
-        logged: see `_limit_commands`.
+        limiter: rate limiter of the commands, or None.
+        logged: argument of `_limit_commands`.
     """
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law = controller.law.sampled(samples.period * h)
@@ -219,7 +225,7 @@ def _linear(
 
 
 def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
-    """Returns the commands of a semi-active law, shape (K, 2 m), with what rounding explains."""
+    """Returns the commands of a semi-active law, shape (K, 2 m), with the differences that rounding can cause."""
     semi_active = FEATURES.load("semi-active coefficients")
     of, whole = FEATURES.load("damper ranges").range_of([vehicle]), slice(None)
     numbers = semi_active.numbers_at(semi_active.numbers_of([controller.law], [vehicle]), of, samples.closing_velocities, whole)
@@ -228,7 +234,7 @@ def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) 
 
 
 def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Array:
-    """Returns the commands of a law in Python, an FMU or exported code that is started again, shape (K, c)."""
+    """Starts a Python control law, an FMU or exported code again. Returns its commands for the measurements, shape (K, c)."""
 
     vehicle, h = road.vehicle, road.timestep
     driver = driver_of([controller])

@@ -1,4 +1,4 @@
-"""Observer of the ends of linear regimes: their times, and events that break runs off."""
+"""Observer of the ends of the linear regime of runs, and of the events after which a run is invalid."""
 
 import math
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from sim.drive.regime import DIVERGENCE, END_NAMES, FLAT, LAW_OVERFLOW, REGIME_E
 
 @dataclass(frozen=True, eq=False)
 class RunEnd:
-    """Ends of one run.
+    """Ends of the linear regime of one run.
 
     Attributes:
-        times: first time of each of `REGIME_ENDS` [s], shape (E,), or infinity.
-        diverged: time at which the run diverged [s], or infinity.
-        law_diverged: True if it diverged by the states of its law alone.
+        times: first time of each of `REGIME_ENDS` [s], shape (E,); infinity if it is not reached.
+        diverged: time at which the run diverged [s]; infinity if it did not.
+        law_diverged: True if the run diverged only because of the states of its law.
     """
 
     times: Array
@@ -28,17 +28,17 @@ class RunEnd:
 
     @property
     def flat(self) -> float:
-        """The time at which a tyre is first fully compressed [s], or infinity."""
+        """Time at which a tyre is first fully compressed [s]; infinity if none is."""
         return float(self.times[REGIME_ENDS.index(FLAT)])
 
     @cached_property
     def until(self) -> float:
-        """The time before which the run is linear [s], or infinity."""
+        """Time until which the run is linear [s]; infinity if it is linear to the end."""
         return min(float(self.times.min()), self.diverged)
 
     @property
     def by(self) -> str | None:
-        """The name of what ended the linear regime, or None."""
+        """Name of the event that ended the linear regime; None if the regime did not end."""
         if math.isinf(self.until):
             return None
         broken = LAW_OVERFLOW if self.law_diverged else DIVERGENCE
@@ -46,7 +46,7 @@ class RunEnd:
 
     @property
     def broke_off(self) -> str | None:
-        """The event after which all numbers are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; None without one."""
+        """Event after which all results are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; otherwise None."""
         if self.flat < self.diverged:
             return FLAT.name
         return None if math.isinf(self.diverged) else LAW_OVERFLOW if self.law_diverged else DIVERGENCE
@@ -62,14 +62,14 @@ class Ends:
 
     @property
     def until(self) -> Array:
-        """The time before which each run is linear in the blocks so far [s], shape (N,), or infinity."""
+        """Time until which each run is linear, according to the blocks so far [s], shape (N,); infinity if it is linear."""
         return np.minimum(self._detector.first, self._batch.diverged)
 
     def take(self, block: Block) -> None:
-        """Takes the next block."""
+        """Receives the next block."""
         self._detector.update(block.start, block.values)
 
     def result(self) -> list[RunEnd]:
-        """Returns the ends of every run."""
+        """Returns the ends of each run."""
         each = zip(self._detector.times, self._batch.diverged.tolist(), self._batch.law_diverged.tolist(), strict=True)
         return [RunEnd(*one) for one in each]

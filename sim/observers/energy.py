@@ -1,32 +1,35 @@
-"""Energy balance of a run: work of road and actuators against stored and dissipated energy. It needs no reference.
+"""Energy balance of a run: work of road and actuators compared with stored and dissipated energy.
 
-Within a step MuJoCo holds the road, so the road does its work between steps: the jump of its height changes the energy of the
-tyres' springs. Within a step the stored energy changes by the work of actuators and loads, less the dampers' dissipation:
+The balance needs no reference response. MuJoCo holds the road within a step, so the road does its work between the steps. The
+jump of its height then changes the energy of the tyre springs. Within a step, the stored energy changes by the work of
+actuators and loads, minus the energy that the dampers dissipate:
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
-with E the kinetic and potential energy. The residual is the error of the integrator and of the integrals. The integrals use
-Simpson's rule. The middle of a step follows from lengths l and speeds l' at both its ends by Hermite's cubic, whose slope there
-has an error of the fourth power of the step. So the residual is of RK4's order, 4, while every spring is linear in its length. If
-a spring starts or stops acting within a step (a tyre leaves the road, a bump stop is touched), the force has a kink there, and
-the residual is only of about second order. The same holds at the knots of curves.
+Here E is the kinetic and potential energy. The residual of this equation is the error of the integrator and of the integrals.
+The integrals use Simpson's rule. The values in the middle of a step follow from the lengths l and rates l' at both ends by
+Hermite's cubic. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear in
+its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
+tyre leaves the road. The force then has a kink, and the residual is only of about second order. This also applies to the knots
+of characteristics.
 
-E comes from the vehicle's own equations (`StoredEnergy`): masses, inertias, weights and linear springs are those of the vehicle
-file. The states come from MuJoCo, so the work of a wrong mass or spring of its model appears in the residual, as that of any
-other force does that the vehicle does not have. For a vehicle type whose equations do not have their energy, E is what MuJoCo
-computes, and only the comparison with the linear model checks the masses. Forces of suspensions beyond the linear ones, bump
-stops and the largest force of an actuator are always those of the vehicle file; coefficients of linear dampers are the model's.
+E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
+file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual, and so does any force
+that the vehicle does not have. If the equations of a vehicle type do not include energy, MuJoCo computes E, and only the
+comparison with the linear model checks the masses. Nonlinear suspension forces, bump stops and the largest force of an actuator
+always come from the vehicle file. The coefficients of linear dampers come from the MuJoCo model.
 
-An actuator should push along the deflection of its suspension, and its work is counted along that signal. An actuator that acts
-on one end only, or through a gear, therefore leaves a residual, too. The work of an actuator without a suspension (it pushes
-against the world) is counted along MuJoCo's actuator itself. There such a fault only shows in the comparison with the linear
-model. The force of an adjustable damper beyond the nominal one is -d l', with d held over a step, or behind its command by a lag.
-Its work is taken by Simpson's rule, too. An element of `[parts]` whose voltage is set stores energy at its present voltage, so
-a change of the voltage does work. This work of its coil counts as that of its actuator. A separate check of force and speed at
-every sample confirms that a damper loses energy, whatever the commanded coefficient or voltage.
+An actuator should act along the deflection of its suspension, and its work is computed along this signal. An actuator that acts
+on one end only, or through a gear, therefore also causes a residual. The work of an actuator without a suspension, which acts
+against the ground, is computed along MuJoCo's actuator. For this actuator, only the comparison with the linear model shows
+these faults. The force of a semi-active damper beyond its nominal force is -d l'. The coefficient d is held over a step, or
+lags behind its command. The work of this force is computed with Simpson's rule, too. An element of `[parts]` whose voltage is
+set stores energy that depends on its present voltage, so a change of the voltage does work. This work of its coil counts as
+work of its actuator. A separate check of force and speed at every sample confirms that a damper dissipates energy for every
+commanded coefficient or voltage.
 
-The residual is relative to the turnover: energy taken by the dampers, moved by the actuators either way, and the largest kinetic
-energy. Lifting the weight is excluded: it would hide small residuals.
+The residual is relative to the turnover. This is the energy that the dampers dissipate, the energy that the actuators supply
+and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide small residuals.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -61,19 +64,19 @@ if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
     from models.parts.settable import SetElement
 
-# The same without kinks, over the fourth power of the step times the vehicle's fastest rate. Random vehicles of every
-# kind leave up to 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
+# The same limit without kinks, relative to the fourth power of the step times the vehicle's fastest rate. Random vehicles of
+# every type reach 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
-NEAR = 0.95  # share of a tyre's or a suspension's distance to a kink at which it may reach the kink within a step
-AT_ONCE = 4096  # states that are evaluated together
+NEAR = 0.95  # share of the distance of a tyre or a suspension to a kink, above which it may reach the kink within a step
+AT_ONCE = 4096  # number of states that are evaluated together
 
 
 def energy(run: Recording, until: float = np.inf) -> Energy:
-    """Returns the energy balance of one run.
+    """Computes the energy balance of one run.
 
     Args:
-        run: run of MuJoCo.
-        until: time at which the vehicle broke off [s], if before it diverged.
+        run: recording of a MuJoCo run.
+        until: time at which the run becomes invalid [s], if this is before it diverged.
     """
     vehicle, road = run.vehicle, run.input
     count = int(np.searchsorted(road.time, min(until, run.diverged)))
@@ -97,7 +100,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         length = path.length(path.model.tendon(one.tendon).id)
         z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
         start += _stored_energy(one, length.d, z) + _kinetic(one, length.d, length.v)
-        # States do not jump with the road.
+        # The states of parts do not jump with the road.
         end += _stored_energy(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
         if z is None or (column := elements.get(names_of(one.states))) is None:
             lost += _lost_energy(one, length, z)
@@ -110,7 +113,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         lost += _lost_energy(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
-    if vehicle.start:  # its energy there is nobody's work
+    if vehicle.start:  # the energy at the start is not work during the run
         stored -= stored[0]
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
     turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
@@ -133,9 +136,7 @@ def _elements(vehicle: Vehicle) -> "Sequence[SetColumn]":
 
 
 def _stored_energy(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
-    """Returns the energy that a part stores at deflections and states [J], shape (...), without that of the vehicle's own
-    spring.
-    """
+    """Returns the energy stored in a part at deflections and states [J], shape (...), without the vehicle's linear spring."""
     return one.part.stored_beyond(deflection, z) + one.added_line.stiffness * np.square(deflection) / 2
 
 
@@ -145,8 +146,9 @@ def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | 
 
 
 def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
-    """Returns the work of the coil of an element over every step and at its end [J], and its stored energy beyond that without a
-    command at the samples [J], shapes (T - 1,), (T - 1,) and (T,).
+    """Returns the work of an element's coil, and the energy that its command adds to the stored energy.
+
+    The work is given during each step and at its end, shapes (T - 1,) each, and the energy at the samples, shape (T,), in [J].
 
     A change of the voltage changes the energy that the hysteresis stores.
     """
@@ -163,12 +165,12 @@ def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Ar
 def _lost_energy(
     one: "SuspensionPart", length: "_Length", z: Array | None, inputs: Sequence[Array | float] = (0.0,) * 3
 ) -> Array | float:
-    """Returns what a part takes without storing it over every step [J], shape (T - 1,).
+    """Returns the energy that a part dissipates over every step [J], shape (T - 1,).
 
-    It leaves out the vehicle's own damper, and the force of an input, whose work is counted apart.
+    The vehicle's linear damper and the force of an input are excluded; their work is computed separately.
 
     Args:
-        inputs: inputs of an element that is set, at the start, in the middle and at the end of every step.
+        inputs: inputs of a voltage-controlled element at the start, in the middle and at the end of every step.
     """
     if one.part.stores:
         return 0.0
@@ -176,7 +178,7 @@ def _lost_energy(
     if z is not None:
         (d, v), _, (after, w) = length.stages
         turned = length.h / 8 * (one.part.rate(d, v, z[:-1], inputs[0]) - one.part.rate(after, w, z[1:], inputs[2]))
-        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as the lengths
+        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as for the lengths
     stages = [(d, v, z, u) for (d, v), z, u in zip(length.stages, own, inputs, strict=True)]
     pulls = [one.part.beyond(d, v, z, u) + one.added_line(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
     taken = length.integral(v * pull for (_, v, _, _), pull in zip(stages, pulls, strict=True))
@@ -185,12 +187,12 @@ def _lost_energy(
 
 @dataclass(frozen=True, eq=False)
 class _Length:
-    """A length over the T - 1 steps of a run.
+    """Length over the T - 1 steps of a run.
 
     Attributes:
-        d: deflection from rest at the samples, over the road of the step that begins [m], shape (T,).
-        v: its rate [m/s], shape (T,).
-        after: deflection at the end of every step, over the road of this step [m], shape (T - 1,).
+        d: deflection from equilibrium at the samples, with the road of the step that begins [m], shape (T,).
+        v: rate of the deflection [m/s], shape (T,).
+        after: deflection at the end of every step, with the road of this step [m], shape (T - 1,).
         h: duration of a step [s].
     """
 
@@ -207,17 +209,17 @@ class _Length:
         return (d, v), (d + grown / 2 + h / 8 * (v - w), 1.5 * grown / h - (v + w) / 4), (self.after, w)
 
     def integral(self, powers: Iterable[Array]) -> Array:
-        """Returns the integral of a power [W] at the three stages over every step, by Simpson's rule [J], shape (T - 1,)."""
+        """Returns the integral of a power over every step by Simpson's rule [J], shape (T - 1,), from three stages [W]."""
         first, middle, last = powers
         return (first + 4 * middle + last) * self.h / 6
 
 
 def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: Array) -> tuple[Array, float | None]:
-    """Returns the work of every input over every step [J], shape (T - 1, m), and `Energy.least`.
+    """Returns the work of every input over every step [J], shape (T - 1, m), and the value of `Energy.least`.
 
     Args:
-        response: signals of physics at T samples.
-        requested: forces requested by the controller, see `Recording.commands`.
+        response: simulated signals at the T samples.
+        requested: forces that the controller requested, see `Recording.commands`.
     """
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
@@ -247,13 +249,13 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
 
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
-    """Returns the power of an adjustable damper beyond the nominal one at its own speeds at the stages [W], each (T - 1,)."""
+    """Returns the power of a semi-active damper beyond its nominal power at the three stages [W], shape (T - 1,) each."""
     settings = _settings(one, response, h)
     return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
 
 
 def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array, Array, Array]:
-    """Returns the settings of an adjustable damper beyond the nominal one at the stages, each (T - 1,)."""
+    """Returns the setting of a semi-active damper relative to the nominal one at the three stages, shape (T - 1,) each."""
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
@@ -261,10 +263,12 @@ def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array,
 
 
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
-    """Returns the work of the road beyond that on the tyres' springs, and what tyres dissipate, over every step [J], (T - 1,).
+    """Returns the work of the road in addition to that on the tyre springs, and the energy that tyres dissipate, per step [J].
 
-    The rest R of a damping tyre's force acts between road and hub. The road's power is R w at its velocity w, that on the hub
-    R l', and the difference is lost.
+    The shapes are (T - 1,) each.
+
+    The nonelastic part R of a damping tyre's force acts between road and hub. The power of the road is R w at the road velocity
+    w, the power on the hub is R l', and the tyre dissipates the difference.
     """
     model, by_road, lost = path.model, np.zeros(len(path.ends)), np.zeros(len(path.ends))
     for wheel, i in zip(*damped_tyres(road.vehicle, model), strict=True):
@@ -278,9 +282,9 @@ def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
-    """Returns True if a force may have had a kink: a tyre in the air, a bump stop, a curve, or a lagging force at its limit.
+    """Returns True if a force may have a kink: a tyre in the air, a bump stop, a characteristic, or a lagging force at its limit.
 
-    A command that is limited before the lag is held over a step, so that its force has no kink within the step.
+    A command that is limited before the lag is held over a step, so its force has no kink within the step.
     """
     reached, limits = utilisation(vehicle, response), vehicle.limits
     ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
@@ -298,17 +302,19 @@ def _fastest(vehicle: Vehicle) -> float:
 
 
 class _Path:
-    """Stored energies and lengths of a run at T samples. Lengths are those of tendons, joints and actuators, in this order.
+    """Stored energies and lengths of a run at T samples. The lengths are those of tendons, joints and actuators, in this order.
 
     Attributes:
-        model: the vehicle's compiled model.
+        model: compiled model of the vehicle.
         h: duration of a step [s].
-        starts: potential and kinetic energy, then lengths, then their rates, over the road of the step that begins, shape (T, n).
-        ends, rest: the same at the end of every step, over the road of this step, shape (T - 1, n), and at rest, shape (n,).
+        starts: potential and kinetic energy, lengths, and rates of the lengths, with the road of the step that begins, shape
+            (T, n).
+        ends, rest: the same quantities at the end of every step, with the road of this step, shape (T - 1, n), and in
+            equilibrium, shape (n,).
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
-        """Evaluates T states, each over the road of the step that begins and, if the road moved, that of the step that ends."""
+        """Evaluates T states with the road of the step that begins, and with that of the step that ends if the road moved."""
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))
@@ -318,12 +324,12 @@ class _Path:
         self.ends[moved] = seen[len(qpos) : -1]
 
     def length(self, number: int, factor: float = 1.0) -> "_Length":
-        """Returns a length by its number, times a factor."""
+        """Returns a length by its index, multiplied by a factor."""
         d, after = (factor * (one[:, 2 + number] - self.rest[2 + number]) for one in (self.starts, self.ends))
         return _Length(d, factor * self.starts[:, len(self.rest) // 2 + 1 + number], after, self.h)
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
-        """Returns the deflection along which an input acts: that of its suspension, else that of its actuator."""
+        """Returns the deflection along which an input acts: that of its suspension, or else that of its actuator."""
         model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.deflection_of(force))
         firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None
@@ -334,7 +340,10 @@ class _Path:
 
 @lru_cache(maxsize=16)
 def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
-    """Returns the vehicle's model for its energy: without bump stops, and with the springs of damping tyres as springs."""
+    """Returns the vehicle's model for its energy.
+
+    Bump stops are omitted, and the springs of damping tyres are ordinary springs.
+    """
     spec = build_spec(replace(vehicle, limits=Limits()), timestep)
     for actuator in spec.actuators:
         if actuator.name.startswith(DAMPER):
@@ -347,7 +356,7 @@ def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
 
 
 def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
-    """Returns energies, lengths and rates of `_Path` in T states over these roads, shape (T, n)."""
+    """Returns the energies, lengths and rates of `_Path` in T states with given road heights, shape (T, n)."""
     names = ("energy", "ten_length", "qpos", "actuator_length", "ten_velocity", "qvel", "actuator_velocity")
     batch = Batch(model, min(AT_ONCE, max(1, len(qpos))), 0)
     columns, heights, mocap = [batch.bind(name) for name in names], batch.bind("mocap_pos"), mocap_indices(vehicle, model)
@@ -370,13 +379,13 @@ def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel:
 
 
 def _acting_forces(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
-    """Returns the actuators' forces [N] in RK4's stages of every step, shape (4, T - 1, m).
+    """Returns the forces of the actuators at RK4's stages of every step [N], shape (4, T - 1, m).
 
-    What lags behind a request beyond the largest force may change its sign within a step.
+    If a request exceeds the largest force, the lagging force may change its sign within a step.
 
     Args:
-        forces: forces of physics at the samples [N], shape (T, m).
-        requested: forces requested by the controller, see `Recording.commands`.
+        forces: simulated forces at the samples [N], shape (T, m).
+        requested: forces that the controller requested, see `Recording.commands`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
     if limits.actuator_force is None or limits.limits_commands:

@@ -1,4 +1,4 @@
-"""Growth: the state of each run after a time of its own, by which a mode grows or decays."""
+"""Growth: the state of each run at one chosen sample, which shows whether a mode grows or decays."""
 
 from collections.abc import Sequence
 
@@ -10,19 +10,19 @@ from sim.drive.loop import Block
 
 
 class Growth:
-    """Takes the state of each run at one sample."""
+    """Records the state of each run at one sample."""
 
     def __init__(self, samples: Sequence[int], batch: Batch) -> None:
-        """Prepares the runs of a batch; `samples` are the samples of all cases."""
+        """Prepares the runs of a batch. `samples` contains the sample of each case."""
         self._samples = [samples[i] for i in batch.numbers]
         self._states: list[Array] = [np.zeros(0)] * len(self._samples)
 
     def take(self, block: Block) -> None:
-        """Takes the next block."""
+        """Receives the next block."""
         for i, sample in enumerate(self._samples):
             if 0 <= (k := sample - block.start) < len(block.qpos):
                 self._states[i] = np.concatenate([block.qpos[k, i], block.qvel[k, i]])
 
     def result(self) -> list[Array]:
-        """Returns the positions and velocities of every run, shape (nq + nv,)."""
+        """Returns the positions and velocities of each run, shape (nq + nv,)."""
         return self._states

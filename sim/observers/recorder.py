@@ -1,4 +1,4 @@
-"""Recorder: every sample of a run, of signals, states, measurements and commands."""
+"""Recorder of every sample of a run: signals, states, measurements and commands."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,17 +21,18 @@ from sim.drive.response import Response
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One run of MuJoCo.
+    """Recording of one MuJoCo run.
 
     Attributes:
-        case: the run.
+        case: case of the run.
         input: road of the run at the samples.
-        response: the vehicle's signals, then the states of a linear law at its last sample. After a divergence signals are NaN,
-            and states are infinite where they ran away, else NaN.
-        qpos: generalized positions, shape (T, nq), to draw a run.
-        qvel: generalized velocities, shape (T, nv).
-        measured: each signal, and closing velocity, at the controller's samples, see `Block.measured`, shape (T,).
-        commands: commands of the actuators at every timestep, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
+        response: signals of the vehicle, followed by the states of a linear law at its last sample. After a divergence, signals
+            are NaN. States are then infinite if they caused the divergence, otherwise NaN.
+        qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run.
+        qvel: MuJoCo's generalised velocities, shape (T, nv).
+        measured: each measured signal and closing velocity at the samples of the controller, shape (T,), by name; see
+            `Block.measured`.
+        commands: commands of the actuators at every time step, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
     """
 
     case: Case
@@ -44,17 +45,17 @@ class Recording:
 
     @property
     def vehicle(self) -> Vehicle:
-        """The vehicle."""
+        """Vehicle of the run."""
         return self.case.vehicle
 
     @property
     def driver(self) -> RunDriver:
-        """The controller, or known commands."""
+        """Controller, or known commands, of the run."""
         return self.case.driver
 
     @cached_property
     def diverged(self) -> float:
-        """The time at which the run diverged [s], or infinity."""
+        """Time at which the run diverged [s]; infinity if it did not."""
         return self.response.diverged
 
     @property
@@ -71,11 +72,11 @@ class Recorder:
         self._batch, self._blocks = batch, list[Block]()
 
     def take(self, block: Block) -> None:
-        """Takes the next block."""
+        """Receives the next block."""
         self._blocks.append(block)
 
     def result(self) -> list[Recording]:
-        """Returns the recording of every run."""
+        """Returns the recording of each run."""
         batch, (first, *_), vehicle = self._batch, self._blocks, self._batch.vehicles[0]
         names = ("values", "qpos", "qvel", "requested_force", "law_states", "measured")
         parts = [[getattr(one, name) for one in self._blocks] for name in names]
@@ -98,7 +99,7 @@ class Recorder:
 
 
 def from_steady(road: RoadInput, response: Response) -> Response:
-    """Returns a response measured from the steady motion in which its vehicle starts; itself if that is rest."""
+    """Returns a response relative to the steady motion in which its vehicle starts, if it does not start in equilibrium."""
     steady = road.steady_signals(response.time)
     if steady is None:
         return response
@@ -108,6 +109,6 @@ def from_steady(road: RoadInput, response: Response) -> Response:
 
 
 def record(cases: "list[Case]", time: Array, threads: int = 1) -> list[Recording]:
-    """Returns the recordings of some cases at sample times [s]; arguments as of `drive`."""
+    """Returns the recordings of cases at sample times [s]. Arguments as for `drive`."""
     (recordings,) = drive(cases, time, Recorder, threads=threads)
     return recordings

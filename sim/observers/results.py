@@ -1,4 +1,4 @@
-"""Results of the observers that a run can do without: checks of its steps and commands, and its energy balance."""
+"""Results of the optional observers of a run: checks of its steps and commands, and its energy balance."""
 
 from dataclasses import dataclass, replace
 
@@ -8,28 +8,29 @@ from models.document.field import Field
 from models.document.text import ShownResult, facts
 
 WHEN = Field[float]("time", float, ".4g", unit="s")
-DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
-ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # of a check
+DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, relative to its peak
+ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # allowed difference of a check
 JOULES = Field[float]("energy", float, ".5g", unit="J")
-# Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
-# vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
+# Largest residual if a force has a kink, relative to the turnover. RK4 then causes 5e-5 at 1 ms and 6e-4 at 4 ms for every
+# built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes at least 3e-3.
 BALANCE_TOLERANCE = 1e-3
-# A fault leaves as much at any step, and what RK4 leaves falls with the second power of the step, or a higher one. So a run that
-# leaves more is driven at half the step, too, and this times the fall is allowed on top: 4 / 3 of it is the error of the second
-# power. A wheel of 7 kg on a tyre of 430 kN/m, often in the air, leaves 2.6e-3 at 1 ms and 5.7e-4 at half of it.
-FALLS, COARSEST = 1.5, 0.1  # and the largest residual that confirms a balance; a larger one is not evaluated
-ROUNDING = 1e-8  # smallest turnover, relative to the energy at rest: below it the residual is rounding
+# The residual of a fault does not depend on the step, but that of RK4 falls at least with the second power of the step. If the
+# residual is too large, the run is therefore repeated at half the step, and this multiple of the decrease is allowed in
+# addition. For second order, the error is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430 kN/m, often in the air,
+# causes 2.6e-3 at 1 ms and 5.7e-4 at half a millisecond.
+FALLS, COARSEST = 1.5, 0.1  # also the largest residual that confirms a balance; a larger one is not evaluated
+ROUNDING = 1e-8  # smallest turnover, relative to the energy in equilibrium; below it, the residual is a rounding error
 
 
 @dataclass(frozen=True)
 class LocalAgreement:
-    """Result of one of the two local checks.
+    """Result of one of the two local checks, of steps or of commands.
 
     Attributes:
-        error: the difference with the largest ratio to its allowed value, over the signal's peak.
-        allowed: the allowed value of that signal, over its peak.
-        signal: name of that signal, command or law state.
-        since: time of the first step or sample that differs by more than is allowed [s], or infinity.
+        error: difference with the largest ratio to the allowed difference, relative to the peak of the signal.
+        allowed: allowed difference of this signal, relative to its peak.
+        signal: name of this signal, command or state of the law.
+        since: time of the first step or sample with a difference above the allowed one [s]; infinity if there is no such step.
     """
 
     error: float
@@ -39,17 +40,17 @@ class LocalAgreement:
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every step or command is right."""
+        """True if all differences are within the allowed ones."""
         return self.error <= self.allowed
 
 
 @dataclass(frozen=True)
 class StepAgreement(LocalAgreement):
-    """Differences of the physics from the vehicle's exact equations over single steps, and at their starts.
+    """Differences of the simulation from the exact equations of the vehicle over single steps, and at the starts of the steps.
 
     Attributes:
-        until: steps that begin before this time are compared [s]; infinite for all.
-        equations_invalid: True if the equations do not take the state at that time.
+        until: time before which a step must begin to be compared [s]; infinite if all steps are compared.
+        equations_invalid: True if the equations are not valid for the state at this time.
     """
 
     until: float
@@ -61,8 +62,8 @@ class CommandAgreement(LocalAgreement):
     """Differences of a run's measurements, commands and law states from its control law.
 
     Attributes:
-        repeatable: False if the law gave two answers to the same measurements when it was started again twice. Its commands are
-            then not compared.
+        repeatable: False if the law gave different commands for the same measurements when it was started again twice. The
+            commands of such a law are not compared.
     """
 
     repeatable: bool = True
@@ -70,20 +71,21 @@ class CommandAgreement(LocalAgreement):
 
 @dataclass(frozen=True, repr=False)
 class Energy(ShownResult):
-    """Energy balance of a run, from its start to its end or to the time at which it broke off.
+    """Energy balance of a run, from its start to its end, or to the time at which the run became invalid.
 
     Attributes:
-        road: work of the road [J].
-        actuators: work of the actuators [J].
+        road: work done by the road [J].
+        actuators: work done by the actuators [J].
         stored: change of the kinetic and potential energy [J].
-        dissipated: energy taken by the dampers [J].
-        turnover: energy taken by the dampers, moved by the actuators either way, and the largest kinetic energy [J].
-        loads: work of the loads on the body [J], or None if there are no loads.
-        allowed: largest residual that the integrator explains: RK4's own if no force has a kink, else `BALANCE_TOLERANCE`; more
-            if half the step leaves less.
-        residual: largest magnitude at any time of works less stored and dissipated energy, over `turnover`.
-        least: least power taken by an adjustable damper at any sample, over the largest; below 0 if it gave energy. None if the
-            vehicle has no adjustable dampers.
+        dissipated: energy that the dampers dissipate [J].
+        turnover: sum of the energy that the dampers dissipate, the energy that the actuators supply and absorb, and the largest
+            kinetic energy [J].
+        loads: work done by the loads on the body [J]; None without loads.
+        allowed: largest residual that the error of the integrator explains: that of RK4 if no force has a kink, otherwise
+            `BALANCE_TOLERANCE`. The limit is larger if half the step leaves a smaller residual.
+        residual: largest magnitude over time of the work done minus the stored and dissipated energy, relative to `turnover`.
+        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest. The value is below 0
+            if the damper supplied energy. None if the vehicle has no semi-active dampers.
     """
 
     road: float
@@ -98,7 +100,7 @@ class Energy(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Returns whether it balances, and the energies."""
+        """Document with the verdict and the energies."""
         parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
         title = (
             f"energy {self.verdict}: the residual is {difference(self.residual)} of the {JOULES.text(self.turnover)} exchanged"
@@ -107,30 +109,30 @@ class Energy(ShownResult):
 
     @property
     def fails(self) -> bool:
-        """Returns True if the residual is more than the integrator's error, or a damper gave energy."""
+        """True if the residual exceeds the error of the integrator, or a damper supplied energy."""
         return not self.residual <= self.allowed or (self.least is not None and self.least < -ROUNDING)
 
     @property
     def judged(self) -> bool:
-        """Returns False if the integrator's error explains the residual, but is too large to confirm a balance."""
+        """False if the error of the integrator explains the residual, but is too large to confirm a balance."""
         return self.fails or self.allowed <= COARSEST
 
     @property
     def balances(self) -> bool:
-        """Returns True if the residual is within the integrator's error, and no damper gave energy."""
+        """True if the residual is within the error of the integrator, and no damper supplied energy."""
         return self.judged and not self.fails
 
     @property
     def verdict(self) -> str:
-        """The verdict, in words."""
+        """Verdict as text."""
         return "DOES NOT BALANCE" if self.fails else "balances" if self.judged else "is not evaluated"
 
     @property
     def doubtful(self) -> bool:
-        """Returns True if more is left over than is usual: half the step tells an error of RK4 from a fault."""
+        """True if the residual is larger than usual. A run at half the step then distinguishes an error of RK4 from a fault."""
         return self.residual > self.allowed
 
     def with_half_step(self, finer: "Energy") -> "Energy":
-        """Returns the balance with its allowed residual, given the same run at half the step."""
+        """Returns the balance with the allowed residual that follows from the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
         return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))

@@ -1,13 +1,13 @@
-"""Comparison of physics with the exact equations, step by step and signal by signal, also where no linear response applies.
+"""Comparison of a simulation with the exact equations for each step and signal, also if no linear response applies.
 
-The signals at one sample determine the state. RK4 on the equations of the vehicle file then gives the signals at the next sample.
-Physics must have the same signals, to rounding: while bodies turn, beyond the lines of curves, at bump stops, with tyres in the
-air and forces at their limits. Every step begins at physics' own state, so no error of one step hides in the next, and all steps
-are computed at once. Forces and damper coefficients are the controller's commands, with the limits and the lag of the vehicle
-file.
+The signals at one sample determine the state. RK4 with the equations of the vehicle file then gives the signals at the next
+sample. The simulation must have the same signals up to rounding errors. This includes rotating bodies, nonlinear
+characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the simulated state, so an error
+of one step does not hide another, and all steps are computed together. Forces and damper coefficients are the commands of the
+controller, with the limits and the lag of the vehicle file.
 
-The state and the forces at a sample also determine every other output signal there: accelerations, as the forces and loads of the
-step begin to act, velocities of points of the body, sums of signals, and the forces. Physics must have these, too.
+The state and the forces at a sample also determine all other output signals. These are accelerations at the beginning of the
+step, velocities of points of the body, sums of signals, and the forces. The simulation must have these signals, too.
 """
 
 from collections.abc import Mapping
@@ -35,12 +35,14 @@ from sim.observers.results import StepAgreement
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
-EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
-UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls
+# relative to the peak; the largest difference measured is 1e-12 per step, and a force that is wrong by 1e-4 causes at least
+# 1e-8
+EXACT = 1e-10
+UNIT = 1024.0  # N; force for the response of accelerations, which is linear in the force
 
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
-    """Returns the exact equations of a vehicle, or None if only its MJCF has them."""
+    """Returns the exact equations of motion of a vehicle; None if only its MuJoCo model defines them."""
     if vehicle.kind.motion is not None:
         return vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
     try:
@@ -50,11 +52,12 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
 
 
 def compare_steps(road: RoadInput, recording: Recording, until: float, rounding: Mapping[str, float]) -> StepAgreement | None:
-    """Returns the comparison of every step of physics that ends before a time [s] with the vehicle's equations, or None without
-    them.
+    """Compares every step that ends before a time [s] with the vehicle's equations. Returns None without equations.
 
     Args:
-        road: vehicle and road that the run is said to have.
+        road: vehicle and road that the run should have.
+        recording: recording of the run.
+        until: time of the last step [s].
         rounding: rounding error of every output signal in the loop, see `sim.linear.rounding`.
     """
     if (motion := motion_of(road.vehicle)) is None:
@@ -69,20 +72,20 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     told = (*motion.names, *(one.name for one in road.vehicle.kind.of_parts))
     names = (*told, *shown, *readings)
     held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
-    # A signal is rounded, and so are those that tell it.
+    # A signal has a rounding error, and so do the signals from which it is computed.
     rounded = [held[name] for name in told]
     for name in (*shown, *readings):
         parts = combined.get(name, {name: 1.0})
         rounded.append(sum(abs(share) * rounding.get(part, 0.0) for part, share in parts.items()) + rounding.get(name, 0.0))
     scales = np.array([physics.scale(name) or 1.0 for name in names])
-    # What a length of a metre rounds to is a hundred times as much at a height of a hundred metres.
+    # At a height of a hundred metres, the rounding error of a length is a hundred times as large as at one metre.
     high = 1.0 + np.abs(road.heights).max(initial=0.0)
     allowed = EXACT + high * np.array(rounded) / scales
     further = [shown[name] - physics[name][: len(ahead)] for name in shown]
     further += [expected - measured[name][: len(ahead)] for name, expected in readings.items()]
     apart = np.abs(np.concatenate([ahead - there, *(row[:, None] for row in further)], axis=1))
     between = np.isnan(np.stack([measured[name][: len(ahead)] for name in readings], 1)) if readings else None
-    if between is not None:  # no measurement
+    if between is not None:  # no measurement at this time step
         apart[:, -between.shape[1] :][between] = 0.0
     apart /= scales
     apart[~np.isfinite(apart)] = np.inf
@@ -106,14 +109,14 @@ class _Starts:
 
     Attributes:
         vehicle: vehicle with its limits.
-        timestep: length of the steps [s].
-        state: see `Motion`, shape (K, n).
-        own: own states of parts, shape (K, k).
-        heights: road heights [m], including those after the last step, shape (K + 1, r).
-        midway: heights at which the road is held during the steps, shape (K, r).
-        loads: loads held during the steps, see `RoadInput.held_inputs`.
-        there: signals of `Motion.names`, and own states of parts, at their ends, shape (K, p + k).
-        stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
+        timestep: duration of the steps [s].
+        state: state of `Motion`, shape (K, n).
+        own: states of the vehicle's parts, shape (K, k).
+        heights: road heights at the starts and after the last step [m], shape (K + 1, r).
+        midway: road heights that are held during the steps [m], shape (K, r).
+        loads: loads that are held during the steps, see `RoadInput.held_inputs`.
+        there: signals of `Motion.names` and states of parts at the ends of the steps, shape (K, p + k).
+        stages: forces, or coefficients of dampers relative to the nominal ones, at RK4's four stages, shape (K, m) each.
     """
 
     vehicle: Vehicle
@@ -128,7 +131,7 @@ class _Starts:
 
 
 def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Array) -> _Starts:
-    """Returns the starts of all steps, up to the first whose state the equations cannot take."""
+    """Returns the starts of all steps, up to the first state for which the equations are not valid."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
     heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_inputs[: count - 1]
     names, m, of_parts = motion.names, len(vehicle.linear_model.inputs), names_of(vehicle.kind.of_parts)
@@ -145,7 +148,7 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
 
 
 def _step_signals(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
-    """Returns signals after one step of RK4 from every start, and those of physics there, shapes (K, p + k)."""
+    """Returns the signals after one RK4 step from every start, and the simulated signals at the same time, shapes (K, p + k)."""
     state, h, n = np.concatenate([starts.state, starts.own], axis=1), starts.timestep, starts.state.shape[1]
     if not len(state):
         return starts.there, starts.there
@@ -173,19 +176,19 @@ def _pulls(
     inputs: Array,
     loads: Array,
 ) -> "Pulls":
-    """Returns the forces of suspensions for some states, with those of inertial parts.
+    """Returns a function that computes the suspension forces for given states, including those of inertial parts.
 
-    Without inertial parts the rates of the deflections change by a; pulls p of theirs make this a + R p. So p = b (a + R p). A
-    complex step along a motion has the exact change of the rates of the deflections.
+    Without inertial parts, the rates of the deflections change by a. The forces p of inertial parts change this to a + R p, so
+    p = b (a + R p). A complex step along a motion gives the exact change of these rates.
 
     Args:
         given: commands that act.
-        own: own states of parts.
-        seen: gets the deflections and their rates, in its first entry.
-        state, heights, inputs, loads: see `Motion.rate`.
+        own: states of the vehicle's parts.
+        seen: list that receives the deflections and their rates as its first entry.
+        state, heights, inputs, loads: arguments of `Motion.rate`.
 
     Raises:
-        InputError: the equations of a custom vehicle type do not take complex states.
+        InputError: the equations of a custom vehicle type do not accept complex states.
     """
 
     def pulls(d: Array, v: Array) -> Array:
@@ -203,7 +206,9 @@ def _pulls(
         rates = motion.rate(state, heights, inputs, lambda d, v: pulls(d, v) + more, loads)
         motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
         if not np.iscomplexobj(seen[-1][1]):
-            raise InputError("motion of this vehicle type drops the imaginary part of states; an inerter needs it, so keep it")
+            raise InputError(
+                "`motion` of this vehicle type discards the imaginary part of states, which an inerter needs; keep it"
+            )
         return np.imag(seen[-1][1]) / STEP
 
     free = change(0.0)
@@ -215,7 +220,7 @@ def _pulls(
 
 
 def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
-    """Returns the vehicle's other signals at the starts by the equations, under given commands and loads, each of shape (K,)."""
+    """Returns the vehicle's other signals at the starts from the equations, for given commands and loads, each of shape (K,)."""
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 
@@ -244,9 +249,9 @@ def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: 
 def _readings(
     motion: "Motion", starts: _Starts, physics: Response, measured: Mapping[str, Array], loads: Array
 ) -> dict[str, Array]:
-    """Returns the measured accelerations at the starts under these loads by the equations, each of shape (K,).
+    """Returns the measured accelerations at the starts from the equations, for given loads, each of shape (K,).
 
-    A reading is taken before the new commands act.
+    A measurement is taken before the new commands act.
     """
     model = starts.vehicle.linear_model
     some = [name for name in measured if name in model.outputs]
@@ -260,13 +265,13 @@ def _readings(
 
 
 def _at_wheels(vehicle: Vehicle, given: Array) -> Array:
-    """Returns the forces of actuators at the wheels, at the ratios at rest [N], shape (K, m); 0 for dampers."""
+    """Returns the actuator forces at the wheels with the motion ratios in equilibrium [N], shape (K, m); 0 for dampers."""
     forces = vehicle.linear_model.inputs
     return np.where(np.isin(forces, list(vehicle.dampers)), 0.0, given) * [vehicle.motion_ratios[name] for name in forces]
 
 
 def _stage_inputs(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
-    """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each."""
+    """Returns the forces, or relative damper coefficients, at RK4's stages of every step, shape (K, m) each."""
     inputs, (asked, most) = vehicle.linear_model.inputs, vehicle.limits.largest
     demand, z = commands[: len(physics.time), : len(inputs)], lag_rates(vehicle) * h
     pushing = ~np.isin(inputs, list(vehicle.dampers))

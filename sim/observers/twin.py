@@ -1,4 +1,4 @@
-"""Twin: the exact linear response of each run, computed beside the run and compared with its signals."""
+"""Twin: the exact linear response of each run, computed during the run and compared with its signals."""
 
 from typing import Protocol
 
@@ -13,10 +13,10 @@ from sim.observers.ends import Ends
 
 
 class SignalMeter(Protocol):
-    """Meter of blocks of signals, shape (B, S, N)."""
+    """Meter that receives blocks of signals, shape (B, S, N)."""
 
     def update(self, values: Array) -> None:
-        """Takes the next block."""
+        """Receives the next block."""
         ...
 
 
@@ -24,11 +24,11 @@ class Twin:
     """Comparison of N runs of linear laws with their exact linear responses.
 
     Attributes:
-        meter: measures the responses; None to compare their states alone.
+        meter: meter for the linear responses; None to compare only their states.
     """
 
     def __init__(self, batch: Batch, ends: Ends, meter: "SignalMeter | None" = None) -> None:
-        """Prepares the runs of a batch, which `ends` observes before."""
+        """Prepares the runs of a batch. `ends` must observe each block before the twin."""
         self._batch, self._ends, self.meter, self._responses = batch, ends, meter, ResponseBatch(batch)
         kind, model, outputs = batch.vehicles[0].kind, batch.vehicles[0].linear_model, self._responses.outputs
         self._units = [kind.signal(name).unit for name in outputs]
@@ -36,10 +36,10 @@ class Twin:
         self._states = [i for i, name in enumerate(outputs) if name in model.states]
 
     def take(self, block: Block) -> None:
-        """Compares the next block, and replaces its outputs by those of the linear response if these are measured."""
+        """Compares the next block. If there is a meter, the outputs in the block are replaced by those of the linear response."""
         values, some = block.values, slice(block.start, block.start + len(block.values))
         before, index = self._batch.time[some, None] < self._ends.until, self._responses.index
-        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows; its run says so
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows, which its run records
             output_of = self._responses.block(some)
             for i in self._states if self.meter is None else range(len(index)):
                 output = output_of(i)
@@ -53,7 +53,7 @@ class Twin:
                 self.meter.update(np.clip(values, -DIVERGENCE_LIMIT, DIVERGENCE_LIMIT))
 
     def result(self) -> list[float]:
-        """Returns the largest difference of any state from that of each run, over the peak of the linear response."""
+        """Returns the largest difference of each run's states from the linear response, relative to the peak of this response."""
         worst = np.zeros(self._off.shape[1])
         loudest = loudest_alike(self._peak[self._states].T, [self._units[i] for i in self._states])
         for k, i in enumerate(self._states):

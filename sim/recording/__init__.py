@@ -1,1 +1,1 @@
-"""Recording of runs: MCAP and Rerun files, and their layouts for viewers."""
+"""Recording of runs as MCAP and Rerun files, with layouts for their viewers. Start with `files.py`."""

@@ -1,4 +1,7 @@
-"""Recordings on disk: an MCAP file, its layout and a Rerun file, all complete or none. Existing files are never overwritten."""
+"""Recordings on disk: an MCAP file with its layout, and a Rerun file. Either all files are written or none.
+
+Existing files are never overwritten.
+"""
 
 import itertools
 import tempfile
@@ -32,23 +35,24 @@ def record(
 ) -> dict[str, Path]:
     """Writes runs as `<stem>.mcap`, `<stem>.layout.json` (for the MCAP file in Foxglove and Lichtblick) and `<stem>.rrd`.
 
-    If one of these files exists, the stem becomes `<stem>-2`, `-3`, ... An error or an interruption leaves nothing behind.
+    If one of these files exists, the stem becomes `<stem>-2`, `<stem>-3`, and so on. After an error or an interruption, no file
+    remains.
 
     Args:
-        folder: folder of the files; made if it does not exist.
+        folder: folder of the files. A missing folder is created.
         stem: common name of the files, without suffix.
         runs: runs with distinct names.
         metadata: metadata of all runs.
-        attachments: (media type, content) by name; only in the MCAP file, as Rerun files have no attachments.
+        attachments: (media type, content) by name. Only the MCAP file contains them, because Rerun files have no attachments.
 
     Returns:
         Paths of the files: `mcap`, `layout` and `rerun`.
 
     Raises:
-        InputError: the folder cannot be made, files cannot be written in it, or two runs have the same name.
+        InputError: the folder cannot be created, the files cannot be written, or two runs have the same name.
 
     Example:
-        See `sim.run_log`, which makes the runs to record:
+        `sim.run_log` returns the runs to record; see its example:
 
         >>> from sim import record, run_log
     """
@@ -56,7 +60,7 @@ def record(
     if len(set(names)) < len(names):
         raise InputError(f"the runs have the names {', '.join(names)}; give each run a different name")
     try:
-        # In the same folder, so that the final renames move no data.
+        # The temporary files are in the same folder, so that renaming them at the end moves no data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
             written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)
@@ -72,13 +76,14 @@ def record(
 
 
 def _publish_files(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
-    """Renames complete files to the first name that is free for all of them; returns the final paths."""
+    """Renames complete files to the first name that is free for all of them. Returns the final paths."""
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"
         final = {kind: folder / f"{name}.{SUFFIXES[kind]}" for kind in written}
         ours: list[Path] = []
         try:
-            # A rename would overwrite silently. A new empty file reserves the name, also against other processes.
+            # Renaming would overwrite existing files without a warning. A new empty file reserves the name, also from other
+            # processes.
             for path in final.values():
                 path.touch(exist_ok=False)
                 ours.append(path)

@@ -1,7 +1,7 @@
-"""Layouts for Foxglove and Lichtblick: the car in 3D, MuJoCo and sampled responses of every signal, and their differences.
+"""Layouts for Foxglove and Lichtblick: the car in 3D, MuJoCo and sampled responses of all signals, and their differences.
 
-In both programs: "Import from file..." in the list of layouts. Format: settings of panels by `TYPE!NAME`, and a tree of rows and
-columns; https://docs.foxglove.dev/docs/visualization/layouts.
+In both programs, choose "Import from file..." in the list of layouts. A layout consists of settings of panels by `TYPE!NAME`
+and a tree of rows and columns; see https://docs.foxglove.dev/docs/visualization/layouts.
 """
 
 import json
@@ -18,7 +18,10 @@ from sim.recording.run_log import RunLog
 
 
 def foxglove_layout(runs: Sequence[RunLog]) -> str:
-    """Returns the layout of an MCAP file as JSON: for several runs first a tab with all of them, then one for each."""
+    """Returns the layout of an MCAP file as JSON, with a tab for each run.
+
+    Several runs also have a first tab that shows all runs.
+    """
     panels: dict[str, Any] = {}
     tabs = [("all", _seen(panels, runs, runs, "all"))] if len(runs) > 1 else []
     tabs += [(run.name, _seen(panels, runs, [run], run.name)) for run in runs]
@@ -28,7 +31,7 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 
 def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog], name: str) -> Any:
-    """Adds the panels of one run, its car and its events beside its plots, or of all runs, their cars above their plots."""
+    """Adds the panels of one or all runs. A single run has its car and events on the left; all cars are above the plots."""
     car, log = f"3D!{_id(name)}", f"RosOut!{_id(name)}"
     panels[car] = _scene(runs, seen)
     plots = _tab_panel(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages(runs, seen)])
@@ -39,7 +42,7 @@ def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog]
 
 
 def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str) -> Any:
-    """Adds the plots of a page, in rows, with the differences below."""
+    """Adds the plots of a page in rows, with the differences below the rows."""
     ids = [_plot(panels, runs, plot, f"{name} {page.title} {i}") for i, plot in enumerate(page.plots)]
     rows = [_stack("row", ids[start : start + page.columns]) for start in range(0, len(ids), page.columns)]
     if not page.difference:
@@ -49,9 +52,9 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str)
 
 
 def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
-    """Returns a 3D panel, seen from the left, slightly from the front and above; a single car is followed.
+    """Returns a 3D panel with a view from the left, slightly from the front and above. The camera follows a single car.
 
-    A single vehicle in the roll plane is seen from behind.
+    A single vehicle in the roll plane is shown from behind.
     """
     low, high = np.array([run.scene.finite().extent() for run in seen]).swapaxes(0, 1)
     size = (high - low).max(axis=0)
@@ -62,8 +65,8 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
         "cameraState": {
             "distance": float(1.1 * max(length, 2 * size[2])),
             "perspective": True,
-            "phi": 75,  # degrees, from straight above
-            "thetaOffset": 109 if len(seen) == 1 and seen[0].scene.flat else 204,  # degrees: from behind, or from the left
+            "phi": 75,  # degrees, relative to straight above
+            "thetaOffset": 109 if len(seen) == 1 and seen[0].scene.flat else 204,  # degrees, from behind or from the left
             "fovy": 45,
             "near": 0.1,
             "far": 500,
@@ -81,7 +84,7 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
 
 
 def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str) -> str:
-    """Adds a plot over time, or over a field; returns its id. Plots over time zoom together."""
+    """Adds a plot over time, or over another field. Returns its id. All plots over time zoom together."""
     panel = f"Plot!{_id(name)}"
     axis: dict[str, Any] = {"xAxisVal": "timestamp"}
     if plot.diagram is not None:
@@ -114,14 +117,14 @@ def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str)
 
 
 def _field(runs: Sequence[RunLog], curve: Curve, name: str) -> str:
-    """Returns the path of a field of a curve's topic; special characters are quoted."""
+    """Returns the path of a field in a curve's topic. Special characters are quoted."""
     path = topic(runs, curve.run, curve.topic)
     plain = re.fullmatch(r"[A-Za-z0-9_/-]+", path)
     return f"{path if plain else json.dumps(path, ensure_ascii=False)}.{name}"
 
 
 def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """Returns a single page, or adds a tab panel with several pages."""
+    """Returns a single page unchanged, or adds a tab panel with several pages."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"
@@ -130,7 +133,7 @@ def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) 
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
-    """Returns parts in a row or column, as the binary tree of both viewers."""
+    """Returns parts in a row or a column, as the binary tree that both viewers use."""
     shares = [*shares, *[1.0] * len(parts)][: len(parts)]
     if len(parts) == 1:
         return parts[0]
@@ -143,5 +146,5 @@ def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -
 
 
 def _id(name: str) -> str:
-    """Returns a name with special characters encoded, for a panel's id."""
+    """Returns a name for a panel's id, with special characters encoded."""
     return re.sub(r"[^A-Za-z0-9]", lambda match: f"_{ord(match.group()):x}", name)

@@ -1,7 +1,7 @@
-"""A run's scene and events as messages of Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
+"""A run's scene and events as messages with Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
 
-After a jump in time, players read the last message of each topic. So every message of `/scene` and `/transforms` is complete, and
-the shapes, written once, have their own topic `/shapes`.
+After a jump in time, players use the last message of each topic. Every message of `/scene` and `/transforms` is therefore
+complete. The shapes do not change, and are written once to their own topic `/shapes`.
 """
 
 from collections.abc import Iterator
@@ -32,30 +32,31 @@ from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, stru
 
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
-SHORTEST = 1e-3  # arrow of a force that is drawn [m]
-GRID = 2.0**-12  # grid to which moving points are rounded [m], 0.25 mm: compressed, they take a third of the space
+SHORTEST = 1e-3  # length of the shortest arrow of a force that is drawn [m]
+# grid to which moving points are rounded [m], 0.25 mm; with it, they need a third of the space after compression
+GRID = 2.0**-12
 
 Messages = Iterator[Any]
 
 
 def frame(run: RunLog, body: str = "") -> str:
-    """Returns the name of the coordinate frame of a run's body, or of the whole car."""
+    """Returns the name of the coordinate frame of a body in a run, or of the whole car."""
     return f"{run.name}/{body}" if body else run.name
 
 
 def events(run: RunLog, times: list[int]) -> Messages:
-    """Yields the events of a run, at these times [ns]."""
+    """Yields the events of a run as messages at the given times [ns]."""
     for time, (_, text) in zip(times, run.events, strict=True):
         yield Log(timestamp=_stamp(time), level=Log.INFO, message=text, name=run.name)
 
 
 def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
-    """Yields the poses of every body, and of the car as a whole.
+    """Yields the poses of all bodies and of the car as a whole.
 
     Args:
         run: run with finite frames.
-        times: times of its frames [ns].
-        stand: position of its car in the world [m], shape (3,).
+        times: times of the frames [ns].
+        stand: position of the car in the world [m], shape (3,).
     """
     car = FrameTransform(
         parent_frame_id=WORLD,
@@ -79,7 +80,13 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
 
 
 def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
-    """Yields the message with the solids, fixed to their bodies, and the run's name above the car, in its colour."""
+    """Yields the message with the solids, fixed to their bodies, and with the name of the run above the car.
+
+    Args:
+        run: run with finite frames.
+        time: time of the message [ns].
+        color: colour of the name (red, green, blue), from 0 to 255.
+    """
     update = SceneUpdate()
     for body in run.scene.bodies:
         entity = _add_entity(update, time, frame(run, body), body)
@@ -94,7 +101,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
-    """Yields struts, tyres and arrows of control forces; a force of `largest` [N] has the longest arrow."""
+    """Yields struts, tyres and arrows of control forces. A force of `largest` [N] has the longest arrow."""
     scene = run.scene
     struts = [
         _pack_points(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)
@@ -112,7 +119,8 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
         tyres.append((tyre, surfaces, _pack_points(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     pushed = arrows(scene, largest).values()
     for index, time in enumerate(times):
-        update = SceneUpdate()  # every part is made in its place: the message that holds a part copies it, point by point
+        # every part is created at its final place, because adding a part to a message copies it point by point
+        update = SceneUpdate()
         entity = _add_entity(update, time, frame(run), "struts")
         for look, points in zip(looks, struts, strict=True):
             _fill(entity.lines.add(), look, points[index])
@@ -126,7 +134,10 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
 
 
 def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
-    """Adds an entity that moves with its frame, and stays until another one of the same name replaces it; returns it."""
+    """Adds an entity that moves with its frame, and returns it.
+
+    The entity remains until another entity with the same name replaces it.
+    """
     return update.entities.add(timestamp=_stamp(time), frame_id=frame_id, id=name, lifetime=Duration(), frame_locked=True)
 
 
@@ -134,7 +145,7 @@ def _arrow(tail: Array, vector: Array) -> ArrowPrimitive:
     """Returns the arrow of a control force."""
     length = float(np.linalg.norm(vector))
     direction = vector / length
-    # The unnormalised quaternion of the rotation from +x to the direction.
+    # Quaternion, not normalised, of the rotation from +x to the direction.
     turn = np.array([1.0 + direction[0], 0.0, -direction[2], direction[1]])
     return ArrowPrimitive(
         pose=_pose(tail, turn / np.linalg.norm(turn)),
@@ -165,9 +176,11 @@ def _add_solid(entity: Any, shape: Shape) -> None:
 
 
 def _pack_points(points: Array, field: int) -> Array:
-    """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles; (..., P, 3) to (..., P).
+    """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles.
 
-    Serialization of the message later leaves out zeros. The field's number must be below 16.
+    The shape changes from (..., P, 3) to (..., P).
+
+    When the message is serialised later, zeros are omitted. The number of the field must be below 16.
     """
     packed = np.empty(points.shape[:-1], POINT)
     packed["head"] = field << 3 | 2, POINT.itemsize - 2
@@ -178,7 +191,7 @@ def _pack_points(points: Array, field: int) -> Array:
 
 
 def _fill(primitive: Any, look: Any, packed: Array) -> None:
-    """Fills a new primitive with a copy of another one, and with packed points."""
+    """Fills a new primitive with a copy of another primitive and with packed points."""
     primitive.CopyFrom(look)
     primitive.MergeFromString(packed.tobytes())
 
@@ -207,6 +220,6 @@ def _pose(position: Array = ORIGIN, quaternion: Array = IDENTITY_QUATERNION) -> 
 
 
 def _color(rgb: Array | tuple[int, int, int], alpha: float = 1.0) -> Color:
-    """Returns a colour, given by numbers from 0 to 255."""
+    """Returns a colour from numbers between 0 and 255."""
     r, g, b = (float(part) / 255 for part in rgb)
     return Color(r=r, g=g, b=b, a=alpha)

@@ -1,7 +1,7 @@
-"""Runs as an MCAP file, https://mcap.dev/spec: protobuf messages with their schemas, which Rerun and Foxglove can plot.
+"""Writer of runs as an MCAP file, https://mcap.dev/spec: protobuf messages with schemas that Rerun and Foxglove can plot.
 
-Encoding: https://protobuf.dev/programming-guides/encoding. The descriptors are built at run time from the signals of the
-responses, without generated code; a field has the name of its signal.
+Encoding: https://protobuf.dev/programming-guides/encoding. The descriptors are created at run time from the signals of the
+responses, without generated code. Each field has the name of its signal.
 """
 
 import json
@@ -35,11 +35,14 @@ def write_mcap(
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]],
 ) -> None:
-    """Writes runs to an MCAP file: a metadata record for all runs and one for each, attachments, and `channels`.
+    """Writes runs to an MCAP file.
+
+    The file contains one metadata record for all runs and one for each run, the attachments, and the `channels`.
+
 
     Args:
-        path: the file; overwritten if it exists.
-        runs: runs with distinct names and nonnegative times [s].
+        path: path of the file; an existing file is overwritten.
+        runs: runs with distinct names, and times [s] that are not negative.
         metadata: metadata of all runs.
         attachments: (media type, content) by name.
 
@@ -60,19 +63,20 @@ def write_mcap(
                 schemas[schema] = writer.register_schema(*schema)
             number = writer.register_channel(name, MessageEncoding.Protobuf, schemas[schema], described)
             messages += [(time, number, content) for time, content in zip(times, contents, strict=True)]
-        for time, number, content in sorted(messages, key=itemgetter(0)):  # players stream a file from front to back
+        for time, number, content in sorted(messages, key=itemgetter(0)):  # players read a file from the beginning to the end
             writer.add_message(number, time, content, time)
         writer.finish()
 
 
 def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
-    """Yields every channel of a log, in order.
+    """Yields all channels of a log in order.
 
-    Each response has a topic, `/mujoco` for a single run and `/I/mujoco` for one of several: a message per sample, a double per
-    signal, log_time = publish_time = t in ns. The channel's metadata has unit, symbol and meaning of every signal as JSON, by its
-    name; the schema has them as comments. `/difference` is MuJoCo minus sampled, over each signal's peak, in single precision.
-    Other forces are on `/loads` and `/dampers`. Events are `foxglove.Log` on `/events`. The moving car is on `/transforms`,
-    `/shapes` and `/scene` in Foxglove's published schemas. A channel without messages is left out.
+    Each response has a topic: `/mujoco` for a single run, or `/I/mujoco` for one of several runs. The topic has a message per
+    sample with a double per signal, and log_time = publish_time = t in ns. The metadata of the channel contains unit, symbol
+    and meaning of every signal as JSON by name; the schema contains them as comments. `/difference` is MuJoCo minus sampled,
+    relative to the peak of each signal, in single precision. Other forces are in `/loads` and `/dampers`. Events are
+    `foxglove.Log` messages in `/events`. The moving car is in `/transforms`, `/shapes` and `/scene`, with Foxglove's published
+    schemas. Channels without messages are omitted.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
@@ -91,7 +95,7 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
-    """Returns the name of a topic, which includes the run's name if there are several runs."""
+    """Returns the name of a topic. With several runs, the topic includes the name of the run."""
     return f"/{run.name}/{name}" if len(runs) > 1 else f"/{name}"
 
 
@@ -106,7 +110,10 @@ def _describe_signal(signal: Signal) -> str:
 
 
 def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Schema:
-    """Returns the schema of a flat message of doubles or floats, numbered because responses may differ in their signals."""
+    """Returns the schema of a flat message of doubles or floats.
+
+    The schema has a number, because responses may have different signals.
+    """
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")
     for index, signal in enumerate(signals):
@@ -116,7 +123,8 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
             type=FieldDescriptorProto.TYPE_DOUBLE if kind == "<f8" else FieldDescriptorProto.TYPE_FLOAT,
             label=FieldDescriptorProto.LABEL_OPTIONAL,
         )
-        # Path of message 0 (field 4 of a file), field `index` (field 2 of a message): a comment above it in the .proto.
+        # Path of message 0 (field 4 of a file) and its field `index` (field 2 of a message). The text becomes a comment above
+        # this field in the .proto file.
         file.source_code_info.location.add(
             path=(4, 0, 2, index),
             span=(index, 0, 0),
@@ -126,13 +134,13 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
     return f"{PACKAGE}.{message.name}", SchemaEncoding.Protobuf, FileDescriptorSet(file=[file]).SerializeToString()
 
 
-@np.errstate(over="ignore")  # a difference that single precision cannot hold is infinite
+@np.errstate(over="ignore")  # a difference too large for single precision is infinite
 def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
-    """Yields every sample as a protobuf message of doubles, `<f8`, or floats, `<f4`.
+    """Yields every sample as a protobuf message of doubles, `<f8`, or of floats, `<f4`.
 
-    A double is encoded as its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has 5 and 4. So a flat
-    message has the same layout at every sample, and all samples form one array of bytes. Protobuf's own writer leaves out zeros;
-    writing them is valid, too, and keeps the layout. -0.0 and NaN are kept as well.
+    A double is encoded as its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has wire type 5 and 4
+    bytes. A flat message therefore has the same layout at every sample, and all samples form a single array of bytes.
+    Protobuf's own writer omits zeros. Writing zeros is also valid, and keeps the layout and the values -0.0 and NaN.
     """
     count, size = len(response.time), np.dtype(kind).itemsize
     columns = []
@@ -146,13 +154,13 @@ def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
 
 
 def _varint(value: int) -> bytes:
-    """Returns a varint: seven bits per byte, lowest first; the high bit is set if more follow."""
+    """Returns a varint: seven bits per byte, lowest bits first. The high bit is set if another byte follows."""
     low, rest = value & 0x7F, value >> 7
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
 
 def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
-    """Yields the channels with published schemas: events and the scene."""
+    """Yields the channels with published schemas: the events and the scene."""
     from sim.recording import foxglove_scene as scene
 
     largest = largest_force(run.scene for run in runs)
@@ -170,14 +178,14 @@ def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
             ("scene", scene.SceneUpdate, times, scene.moving_entities(run, times, largest)),
         ):
             contents = (message.SerializeToString() for message in messages)
-            if when or name == "events":  # a panel of events has its topic even if nothing happened
+            if when or name == "events":  # an event panel needs its topic, even if there are no events
                 yield topic(runs, run, name), _published_schema(kind), {}, when, contents
         low, high = run.scene.extent()
-        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row
+        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # cars stand in a row
 
 
 def _published_schema(kind: type) -> Schema:
-    """Returns the schema of a message type, including those of its fields."""
+    """Returns the schema of a message type, including the schemas of its fields."""
     from mcap_protobuf.schema import build_file_descriptor_set
 
     data = build_file_descriptor_set(kind).SerializeToString()

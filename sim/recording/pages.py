@@ -1,4 +1,4 @@
-"""Pages of plots that viewers show of a recording, the same for Rerun and Foxglove."""
+"""Pages of plots that viewers show for a recording. Rerun and Foxglove show the same pages."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,26 +15,29 @@ from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MEASURED_TOPIC, MU
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
 
-# By response: (label, opacity, width). Rerun draws in the order of names, so MuJoCo's comes last: thin, within broad lines.
+# Label, opacity and width by response. Rerun draws in the order of names, so MuJoCo's line comes last: a thin line within broad
+# lines.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
-NEUTRAL = "#8c8c8c"  # for the report's black, as viewers are dark or light, which the user chooses
-LOG_COLOUR = "#ff9f1c"  # of a measured log
-PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]  # of curves that belong to no run
+NEUTRAL = "#8c8c8c"  # replaces the black of the report, because the user chooses whether viewers are dark or light
+LOG_COLOUR = "#ff9f1c"  # colour of a measured log
+# colours of curves that belong to no run
+PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]
 
 TRAVEL = "suspension_deflection"
-OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")  # on the first page, for one corner of a car
+# signals on the first page, for one corner of a car
+OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")
 ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # units of the quantities on the last page
-UNGROUPED_SIGNALS = 8  # signals that need no groups
-MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the log
-CONTROLLER = "controller"  # page of these states
-SEEN = 6  # plots on one page; more would be too flat to read
-GAP = "difference"  # topic of differences
+UNGROUPED_SIGNALS = 8  # number of signals up to which they need no groups
+MOST_ACTIVE = 6  # number of plotted states of a controller; further states are only in the log
+CONTROLLER = "controller"  # name of the page with these states
+SEEN = 6  # largest number of plots on one page; more would be too flat
+GAP = "difference"  # topic of the differences
 DIFFERENCE = "difference: MuJoCo - sampled, relative to each signal's peak"
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A signal in a plot: run, topic and name of the signal, and how it is drawn."""
+    """Signal in a plot: its run, topic and name, and the style of its line."""
 
     run: RunLog
     topic: str
@@ -45,19 +48,19 @@ class Curve:
 
     @property
     def response(self) -> Response:
-        """The response that has the signal."""
+        """Response that contains the signal."""
         gap = {} if self.run.gap is None else {GAP: self.run.gap}
         return {**self.run.responses, **self.run.other_signals, **gap}[self.topic]
 
     @property
     def values(self) -> Array:
-        """The signal's values."""
+        """Values of the signal."""
         return self.response[self.signal]
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """Curves over time, or a force over its argument if there is a diagram."""
+    """Plot of curves over time, or of a force over its argument if there is a diagram."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -66,7 +69,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Plots that are seen together: title, plots in rows, group of their signals, and the group's differences, shown below."""
+    """Page of plots: title, plots in rows, group of their signals, and differences of this group, shown below the plots."""
 
     title: str
     plots: tuple[Plot, ...]
@@ -75,20 +78,20 @@ class Page:
 
     @property
     def columns(self) -> int:
-        """Plots in a row."""
+        """Number of plots in a row."""
         return 1 if len(self.plots) == 1 else 2 if len(self.plots) <= 4 else 3
 
 
 def colour_of(runs: Sequence[RunLog], run: RunLog) -> str:
-    """Returns the colour of a run's curves: the report's, or grey for its black."""
+    """Returns the colour of a run's curves: as in the report, but grey instead of black."""
     color = styles(tuple(other.name for other in runs))[run.name].color
     return NEUTRAL if color == BLACK else color
 
 
 def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
-    """Returns the pages of one of the runs, with all its responses, loads and diagrams, or of all, with a curve for each.
+    """Returns the pages of a single run with all its responses, loads and diagrams, or of all runs with one curve each.
 
-    The first page is the overview, and the last one the road, which all responses share.
+    The first page is the overview. The last page is the road, which all responses share.
     """
     run, color, alone, found = seen[0], colour_of(runs, seen[0]), len(seen) == 1, []
     for group, signals in groups(seen).items():
@@ -107,7 +110,7 @@ def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
 
 
 def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
-    """Yields the curves of a signal in all responses of a run."""
+    """Yields the curves of a signal, one for each response of a run."""
     for topic, response in run.responses.items():
         if signal.name in response.names:
             label, opacity, width = RESPONSES[topic]
@@ -116,13 +119,14 @@ def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
 
 
 def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
-    """Yields the curve of a signal in the measured log of a run, if any."""
+    """Yields the curve of a signal in the measured log of a run, if it is measured."""
     if MEASURED_TOPIC in run.other_signals and signal.name in run.other_signals[MEASURED_TOPIC].names:
         yield Curve(run, MEASURED_TOPIC, signal.name, "measured", LOG_COLOUR, 2.5)
 
 
 def _compared_curves(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
-    # Rerun draws in the order of names: thinner towards the last one, so that a curve behind another stays visible.
+    # Rerun draws in the order of names. Lines become thinner towards the last name, so that a curve behind another remains
+    # visible.
     names = sorted((run.name for run in runs), reverse=True)
     for run in runs:
         if signal.name in run.responses[MUJOCO].names:
@@ -131,7 +135,7 @@ def _compared_curves(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
 
 
 def _road(runs: Sequence[RunLog], quantity: str) -> Plot:
-    """Returns a quantity of the road, each different curve once: under several wheels, or of several runs."""
+    """Returns the plot of a road quantity. Equal curves, of several wheels or runs, are drawn once."""
     curves: dict[bytes, Curve] = {}
     for run in runs:
         for name in (name for name in run.responses[MUJOCO].names if name.startswith(quantity)):
@@ -148,35 +152,39 @@ def _diagram(run: RunLog, one: "Diagram", color: str) -> Plot:
 
 
 def differences(run: RunLog, signals: Sequence[Signal]) -> tuple[Curve, ...]:
-    """Returns MuJoCo minus sampled of some signals, without those that have no difference."""
+    """Returns the curves of MuJoCo minus sampled for some signals. Signals without a difference are omitted."""
     names = [signal.name for signal in signals if run.gap is not None and signal.name in run.gap.names]
     return tuple(Curve(run, GAP, name, name.replace("_", " "), PALETTE[i % len(PALETTE)]) for i, name in enumerate(names))
 
 
 def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
-    """Returns the signals of all responses, without duplicates, in order of appearance."""
+    """Returns the signals of all responses, without duplicates, in the order in which they first appear."""
     signals = {signal.name: signal for run in runs for response in run.responses.values() for signal in response.signals}
     return tuple(signals.values())
 
 
 def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
-    """Returns the signals of runs by page, without the road: the overview, all others, and the controller's states of one run.
+    """Returns the signals of runs by page, without those of the road.
 
-    The overview is of the corner with the most travel. Many other signals are divided by kind, where kinds with one or two
-    signals, as heave and pitch, share a page.
+    The groups are the overview, all other signals and, for a single run, the states of its controller.
+
+    The overview shows the corner with the largest suspension travel. If there are many other signals, they are divided by type.
+    Types with one or two signals, such as heave and pitch, share a page.
     """
     signals = [signal for signal in signals_of(runs) if not is_kept(signal) and not signal.name.startswith((*ROADS,))]
     named = {signal.name: signal for signal in signals}
     corners = [name.removeprefix(TRAVEL) for name in named if name.startswith(TRAVEL)]
     corner = max(corners, key=lambda one: _peak(runs, TRAVEL + one), default="")
     overview = [named[name + corner] for name in OVERVIEW if name + corner in named]
-    others = [signal for signal in signals if len(corners) > 1 or signal not in overview]  # corners are compared there
+    # with several corners, these pages compare the corners
+    others = [signal for signal in signals if len(corners) > 1 or signal not in overview]
     kinds: dict[str, list[Signal]] = {}
     for signal in others:
         kinds.setdefault(signal.name.split("_")[0] if len(others) > UNGROUPED_SIGNALS else "others", []).append(signal)
     small = [signal for kind in kinds.values() if len(kind) <= 2 for signal in kind]
     large = {name: kind for name, kind in kinds.items() if len(kind) > 2}
-    active = runs[0].active[:MOST_ACTIVE] if len(runs) == 1 else ()  # states of several controllers are different quantities
+    # the states of several controllers are different quantities
+    active = runs[0].active[:MOST_ACTIVE] if len(runs) == 1 else ()
     kept = [signal for signal in signals_of(runs) if is_kept(signal) and signal.name in active]
     found = {"overview": overview, "car" if large else "others": small, **large, CONTROLLER: kept}
     return {name: tuple(some) for name, some in found.items() if some}
@@ -188,7 +196,7 @@ def _peak(runs: Sequence[RunLog], name: str) -> float:
 
 
 def _title(run: RunLog, group: str) -> str:
-    """Returns the title of a run's page: its group and, if the controller has many states, the number shown."""
+    """Returns the title of a run's page: its group. For a controller with many states, it includes the number of states shown."""
     if group != CONTROLLER or len(run.active) <= MOST_ACTIVE:
         return group
     return f"{group}: the {MOST_ACTIVE} of {len(run.active)} states that contribute most"
@@ -199,7 +207,7 @@ def _heading(signal: Signal) -> str:
 
 
 def _parts(name: str, plots: Sequence[Plot]) -> list[tuple[str, tuple[Plot, ...]]]:
-    """Returns the plots of a group, divided evenly among pages of at most `SEEN`, with their titles."""
+    """Returns the plots of a group, divided evenly among pages of at most `SEEN` plots, with the titles of the pages."""
     count = -(-len(plots) // SEEN)
     each = -(-len(plots) // count)
     parts = [tuple(plots[start : start + each]) for start in range(0, len(plots), each)]

@@ -1,4 +1,4 @@
-"""Entities of a run in Rerun: scene, curves with events marked, differences, and texts."""
+"""Entities of a run in a Rerun file: scene, curves with marked events, differences, and texts."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -39,36 +39,37 @@ if TYPE_CHECKING:
 
 TIMELINE = "time"
 
-ROOM = 1.15  # half width of a diagram over the largest value
-GROUND = 13  # red, green and blue of Rerun's ground
-READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
+ROOM = 1.15  # half width of a diagram, relative to the largest value
+GROUND = 13  # red, green and blue of Rerun's background
+READ = 4000  # largest number of characters of a value in the metadata that a page shows; enough for the gain of 45 states
 
-# Markers of events by text: (shape, colour that no curve has). Other events are crosses.
+# Markers of events by text: shape, and a colour that no curve has. Other events have crosses.
 MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
 ANY_MARKER = ("Cross", (225, 225, 225))
 
 
 def entity(*parts: str) -> str:
-    """Returns an entity path, with special characters escaped."""
+    """Returns an entity path with special characters escaped."""
     return "/" + rr.new_entity_path(list(parts))
 
 
 def time_index(time: Array) -> list[rr.TimeColumn]:
-    """Returns times [s], rounded to nanoseconds as in the MCAP file; Rerun would truncate seconds given as floats."""
+    """Returns times [s], rounded to nanoseconds as in the MCAP file. Rerun would truncate seconds given as floats."""
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
-AFTER_END = 0.04  # of a run's duration: a plot over time ends with its data, and would cut its last label
+# share of a run's duration that is added after its end; otherwise a plot ends with its data and cuts off its last label
+AFTER_END = 0.04
 
 
 def opaque(color: str) -> list[int]:
-    """Returns a colour with opacity, `#rrggbbaa`, on Rerun's ground: lines of Rerun overlap themselves."""
+    """Returns a colour with opacity, `#rrggbbaa`, blended with Rerun's background, because Rerun's lines overlap themselves."""
     opacity = int(color[7:] or "ff", 16) / 255
     return [round(opacity * part + (1 - opacity) * GROUND) for part in rgb(color)]
 
 
 def lines(curves: Sequence[Curve]) -> rr.SeriesLines:
-    """Returns the style of curves whose peaks stay visible: Rerun by default averages the samples within a pixel."""
+    """Returns the line styles of curves. Peaks remain visible, although Rerun averages the samples within a pixel by default."""
     return rr.SeriesLines(
         names=[curve.label for curve in curves],
         colors=[opaque(curve.color) for curve in curves],
@@ -78,13 +79,13 @@ def lines(curves: Sequence[Curve]) -> rr.SeriesLines:
 
 
 def curve_path(curve: Curve) -> str:
-    """Returns the entity of a curve over time."""
+    """Returns the entity path of a curve over time."""
     parts = ("acting", LOADS, curve.signal) if curve.topic == LOADS else ("signals", curve.signal, curve.topic)
     return entity(curve.run.name, *parts)
 
 
 def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve], ended: bool = True) -> None:
-    """Logs curves of one response at a path; with NaN shortly after the end, so that a plot of them extends to it."""
+    """Logs the curves of one response at a path. NaN shortly after the end makes a plot of these curves extend to that time."""
     time, values = curves[0].response.time, np.stack([curve.values for curve in curves], axis=-1)
     after = time[-1:] + AFTER_END * time[-1:] if ended else time[:0]
     values = np.concatenate([values, np.full((len(after), len(curves)), np.nan)])
@@ -94,10 +95,11 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 
 
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Logs all that is plotted: responses, differences, loads, and drawings of the diagrams.
+    """Logs all data that is plotted: responses, differences, loads, and drawings of the diagrams.
 
-    A response is at `signals/<signal>/<response>`, in a shade of the run's colour; MuJoCo minus sampled, over each signal's peak,
-    at `difference/<group>`; loads over time are at `acting/loads/<load>`, and diagrams at `acting/diagrams/<force>`.
+    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. MuJoCo minus sampled, relative to the peak
+    of each signal, is at `difference/<group>`. Loads over time are at `acting/loads/<load>`, and diagrams are at
+    `acting/diagrams/<force>`.
     """
     for signal in signals_of([run]):
         for curve in response_curves(run, signal, color):
@@ -116,7 +118,10 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
-    """Logs a force over its argument as a 2D drawing of 2 by 2 units, y down, as Rerun plots only over time."""
+    """Logs a force over its argument as a 2D drawing, because Rerun plots only over time.
+
+    The drawing has 2 by 2 units, with y downwards.
+    """
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
 
@@ -154,7 +159,7 @@ def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulle
 
 
 def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
-    """Logs the events: as text at `events`, and as markers on every curve of the physics, at `signals/<signal>/<what>`."""
+    """Logs the events as text at `events`, and as markers on every simulated curve at `signals/<signal>/<event>`."""
     if not run.events:
         return
     texts = [text for _, text in run.events]
@@ -174,18 +179,18 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
 
 
 def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
-    """Logs metadata as properties, for programs; documents show it to people."""
+    """Logs metadata as properties, which programs can read. Documents show the same metadata to users."""
     if metadata:
         recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
 
 
 def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
-    """Logs a text in Markdown."""
+    """Logs a text as Markdown."""
     recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def list_metadata(metadata: Mapping[str, str]) -> str:
-    """Returns metadata as Markdown: a table of short values, then the long ones, cut after `READ` characters."""
+    """Returns metadata as Markdown: a table of short values, followed by the long values, cut off after `READ` characters."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
     table = Table("metadata", "", ("key", "value"), tuple(short.items()))
     long = (f"**{key}**\n```\n{_cut(value)}\n```" for key, value in metadata.items() if key not in short)
@@ -199,7 +204,7 @@ def _cut(text: str) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """Returns a table of every run's certificate, and each different result with its runs, in Markdown."""
+    """Returns a Markdown table of the certificates of all runs, followed by each different result with the names of its runs."""
     keys, results = ("bound", "norm", "stable"), list[tuple[str, str]]()
     for run in runs:
         first = f"; first: {run.events[0][1]}, {WHEN.text(run.events[0][0])}" if run.events else ""
@@ -210,7 +215,7 @@ def certificates(runs: Sequence[RunLog]) -> str:
 
 
 def _number(text: str) -> str:
-    """Returns a value of the metadata, formatted for people."""
+    """Returns a value of the metadata, formatted for a reader."""
     words = {"true": "yes", "false": "NO", "null": "-"}
     try:
         return NORM.digits(float(text))
@@ -219,13 +224,15 @@ def _number(text: str) -> str:
 
 
 def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:
-    """Logs the moving car at `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`, and its road.
+    """Logs the moving car and its road.
 
-    The road is a profile at `world/profile/<track>`; other viewers have pieces of road under the wheels instead.
+    The paths are `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`.
+
+    The road is a profile at `world/profile/<track>`. Other viewers show pieces of road under the wheels instead.
 
     Args:
-        run: frames that are not finite are left out.
-        largest: force whose arrow has the full length [N].
+        run: run to log. Frames with values that are not finite are omitted.
+        largest: force whose arrow has full length [N].
     """
     scene = run.scene.finite()
     recording.log(entity(run.name, "world"), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -236,7 +243,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
     for body, motion in scene.bodies.items():
         columns = rr.Transform3D.columns(
             translation=motion.positions,
-            quaternion=np.roll(motion.quaternions, -1, axis=1),  # w last
+            quaternion=np.roll(motion.quaternions, -1, axis=1),  # w comes last
         )
         recording.send_columns(entity(run.name, "world", body), time_index(scene.time), columns)
     for track in scene.tracks:
@@ -278,7 +285,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
     looks = rr.LineStrips3D.from_fields(colors=[colour for _, colour in LINES], radii=[radius for radius, _ in LINES])
     recording.log(path, looks, static=True)
     lines = strut_lines(ends)
-    # One array for all strips, which Rerun would convert one by one.
+    # A single array for all strips, because Rerun would convert them one by one.
     points = rr.encodings.Vec3DBatch(np.concatenate(lines, axis=1).reshape(-1, 3).astype(np.float32)).as_arrow_array()
     ends_at = np.cumsum([0, *[line.shape[1] for line in lines] * len(time)])
     strips = pa.ListArray.from_arrays(ends_at, points, type=rr.components.LineStrip3DBatch([]).as_arrow_array().type)
@@ -287,7 +294,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
 
 
 def _solid(shape: Shape) -> rr.AsComponents:
-    """Returns a solid as Rerun's primitive."""
+    """Returns a solid as a Rerun primitive."""
     looks: dict[str, Any] = {
         "quaternions": [np.roll(shape.quaternion, -1)],  # Rerun writes w last
         "colors": [(255 * shape.rgba).round().astype(np.uint8)],
@@ -300,7 +307,7 @@ def _solid(shape: Shape) -> rr.AsComponents:
         case "cylinder":
             return rr.Cylinders3D(radii=[radius], lengths=[2 * half_length], centers=[shape.position], **looks)
         case "capsule":
-            # Rerun's capsule starts at its origin along z, ours is centred.
+            # Rerun's capsule starts at its origin along z, but `Shape` is centred.
             start = shape.position - half_length * shape.rotation[:, 2]
             return rr.Capsules3D(radii=[radius], lengths=[2 * half_length], translations=[start], **looks)
         case "sphere":

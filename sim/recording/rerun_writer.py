@@ -1,6 +1,6 @@
-"""Runs as a Rerun file with its layout: the moving car next to its curves.
+"""Writer of runs as a Rerun file with its layout: the moving car next to its curves.
 
-Rerun takes half a second to import, so this module is imported only when a file is written.
+Importing Rerun takes half a second, so this module is only imported when a file is written.
 """
 
 import math
@@ -35,33 +35,34 @@ from sim.recording.rerun_contents import (
 from sim.recording.run_log import LOADS, RunLog
 from sim.recording.scene import largest_force
 
-# Direction of view: from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
+# Direction of view from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
-FROM_BEHIND = np.array([1.0, -0.35, -0.14])  # that of a vehicle in the roll plane, slightly from the left
-HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
-SKY = (206, 214, 224)  # background that contrasts with black tyres
-ROUNDING = 1e-9  # of the other end of a curve: less is 0
-CARS = 3.6  # width over height of the space for all cars in a window of 1600 x 900
-LETTER, LETTERS = 6 / 1600, 34  # width of a letter in that window, and letters of the certificates' table without names
-MARGIN = 0.04  # of the range of a plot, so that no peak is on the border
+FROM_BEHIND = np.array([1.0, -0.35, -0.14])  # direction of view for a vehicle in the roll plane, slightly from the left
+HALF_VIEW = np.tan(np.radians(55.0 / 2))  # tangent of half of Rerun's vertical field of view
+SKY = (206, 214, 224)  # background colour that contrasts with black tyres
+ROUNDING = 1e-9  # relative to the other end of a curve's range; smaller values count as 0
+CARS = 3.6  # ratio of width to height of the space for all cars, in a window of 1600 x 900
+# width of a letter in this window, and number of letters in the certificate table without the names
+LETTER, LETTERS = 6 / 1600, 34
+MARGIN = 0.04  # share of a plot's range that is added as a margin, so that no peak touches the border
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
-    """Returns the layout: a page for each run and, for several runs, first a comparison."""
+    """Returns the layout: a page for each run and, if there are several runs, a comparison as the first page."""
     each = [_page(runs, run) for run in runs]
     root = each[0] if len(runs) == 1 else rrb.Tabs(_comparison(runs), *each, active_tab=0)
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # Slow and repeated, as a bump takes half a second.
+        # The playback is slow and repeats, because a bump takes half a second.
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="All", playback_speed=0.25),
         auto_views=False,
     )
 
 
 def _page(runs: Sequence[RunLog], run: RunLog) -> rrb.Container:
-    """Returns the page of a run: on the left the car, its certificate and events, on the right responses and differences."""
+    """Returns the page of a run: car, certificate and events on the left, responses and differences on the right."""
     texts = rrb.Tabs(
         rrb.TextDocumentView(origin=entity(run.name, "summary"), name="certificate and verdict"),
         rrb.TextDocumentView(origin=entity("metadata"), name="metadata"),
@@ -76,7 +77,7 @@ def _page(runs: Sequence[RunLog], run: RunLog) -> rrb.Container:
 
 
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
-    """Returns the page of all runs: the cars, their certificates, and a plot of each signal with all runs."""
+    """Returns the page of all runs: the cars, their certificates, and a plot of each signal for all runs."""
     columns = len(runs) if len(runs) <= 4 else -(-len(runs) // 2)
     aspect = CARS / columns * -(-len(runs) // columns)
     cars = rrb.Grid(*(_car(run, aspect) for run in runs), grid_columns=columns)
@@ -93,7 +94,7 @@ def _tab_container(pages: Sequence[rrb.Container]) -> rrb.Container:
 
 
 def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
-    """Returns a page of plots, with the differences below."""
+    """Returns a page of plots with the differences below."""
     views = [_view(plot, runs, i == 0) for i, plot in enumerate(page.plots)]
     grid = rrb.Grid(*views, grid_columns=page.columns, name=page.title)
     if not page.difference:
@@ -107,7 +108,7 @@ def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
 
 
 def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
-    """Returns a plot over time, with a legend if it is the first of its page, or the view of a diagram."""
+    """Returns a plot over time, with a legend if it is the first plot of its page, or the view of a diagram."""
     run = runs[0]
     if plot.diagram is not None:
         return rrb.Spatial2DView(
@@ -120,13 +121,13 @@ def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
     paths = {curve_path(curve): lines([curve]) for curve in plot.curves}
     signal = plot.curves[0].signal
     happened = [entity(run.name, "signals", signal, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)]
-    # Of several runs, the plot with the legend has no events, whose markers would need as many entries as the controllers.
+    # With several runs, the plot with the legend has no events, because their markers would need further legend entries.
     marked = happened if plot.curves[0].topic != LOADS and (len(runs) == 1 or not first) else []
     return _series(title, curves, first, origin="/", contents=[f"+ {path}" for path in (*paths, *marked)], overrides=paths)
 
 
 def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents: Any) -> rrb.View:
-    """Returns a plot of curves over time. All plots zoom and pan together in time."""
+    """Returns a plot of curves over time. All plots zoom and pan together."""
     return rrb.TimeSeriesView(
         name=title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
@@ -137,7 +138,7 @@ def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents
 
 
 def _car(run: RunLog, aspect: float) -> rrb.View:
-    """Returns the view of a run's car, whole, along `SIGHT`, for this ratio of width to height."""
+    """Returns the view of a whole car in the direction `SIGHT`, for a given ratio of width to height."""
     sight = FROM_BEHIND if run.scene.flat else SIGHT
     sight = sight / np.linalg.norm(sight)
     right = np.cross(sight, [0.0, 0.0, 1.0])
@@ -158,13 +159,13 @@ def _car(run: RunLog, aspect: float) -> rrb.View:
 
 
 def extremes(curves: Sequence[Array]) -> tuple[float, float] | None:
-    """Returns the smallest and the largest finite value of some curves, or None if they have no finite value."""
+    """Returns the smallest and the largest finite value of curves; None if they have no finite value."""
     finite = np.concatenate([curve[np.isfinite(curve)] for curve in curves] or [np.zeros(0)])
     return (float(finite.min()), float(finite.max())) if finite.size else None
 
 
 def extremes_text(curves: Sequence[Array]) -> str:
-    """Returns the extremes as text; empty without finite values."""
+    """Returns the smallest and the largest value as text; empty without finite values."""
     limits = extremes(curves)
     if limits is None:
         return ""
@@ -173,7 +174,7 @@ def extremes_text(curves: Sequence[Array]) -> str:
 
 
 def value_axis(curves: Sequence[Array]) -> rrb.ScalarAxis | None:
-    """Returns an axis for all finite values of some curves, or None, which leaves it to Rerun, if they have none."""
+    """Returns an axis that contains all finite values of curves. None, which lets Rerun choose, if there are no finite values."""
     low, high = extremes(curves) or (math.nan, math.nan)
     constant = high - low <= ROUNDING * max(abs(low), abs(high))
     margin = (abs(low) or 1.0) if constant else MARGIN * (high - low)
@@ -181,28 +182,28 @@ def value_axis(curves: Sequence[Array]) -> rrb.ScalarAxis | None:
 
 
 def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -> None:
-    """Writes runs to a Rerun file with a layout.
+    """Writes runs to a Rerun file with its layout.
 
-    Entities of a run, below its name: `signals/<signal>/<response>`, events at `signals/<signal>/<event>`, `difference/<group>`,
-    `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`, `acting/loads/<load>`,
-    `acting/diagrams/<force>`, `summary` and `events`. All runs share `metadata` and, if they are several, `certificates`. The
-    timeline is `time`, from the start of a run.
+    The entities of a run are below its name: `signals/<signal>/<response>`, events at `signals/<signal>/<event>`,
+    `difference/<group>`, `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`,
+    `acting/loads/<load>`, `acting/diagrams/<force>`, `summary` and `events`. All runs share `metadata` and, if there are
+    several runs, `certificates`. The timeline is `time`, from the start of a run.
 
     Args:
-        path: the file; overwritten if it exists.
-        runs: runs with distinct names. Frames after a run broke off, which are not finite, are omitted: the car stops.
+        path: path of the file; an existing file is overwritten.
+        runs: runs with distinct names. Frames with values that are not finite are omitted, so the car stops there.
         metadata: metadata of all runs.
 
     Raises:
         OSError: the file cannot be written.
-        ValueError: Rerun cannot log something.
+        ValueError: Rerun cannot log some data.
     """
-    # The viewer keeps one layout per application id, and a layout fits its own recording alone: its plots have their ranges.
+    # The viewer keeps one layout per application id. A layout fits only its own recording, because its plots have fixed ranges.
     digest = zlib.crc32(repr((metadata, [run.metadata for run in runs])).encode())
     application = re.sub(r"[^A-Za-z0-9_-]+", "-", f"roadproof-{'-'.join(run.name for run in runs)}-{digest:08x}")
-    recording = rr.RecordingStream(application, send_properties=False)  # the properties are the time of writing alone
+    recording = rr.RecordingStream(application, send_properties=False)  # the properties would only contain the time of writing
     strict = rr.strict_mode()
-    rr.set_strict_mode(True)  # otherwise Rerun only warns of data that it cannot log
+    rr.set_strict_mode(True)  # otherwise, Rerun only warns about data that it cannot log
     try:
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
@@ -231,7 +232,10 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
 
 def _check_complete(path: Path) -> None:
-    """Checks a file by its table of contents, which Rerun writes last, in a thread, without an error on a full disk."""
+    """Checks that a file is complete by reading its table of contents.
+
+    Rerun writes this table last, in a thread, and reports no error if the disk is full.
+    """
     try:
         with warnings.catch_warnings(action="error"):
             rerun.chunk.RrdReader(path).store()

@@ -1,4 +1,4 @@
-"""Recorded data of one run: the contents of its log. `mcap_writer.py` and `run_records.py` define the format."""
+"""Recorded data of one run, which is the content of its log. `mcap_writer.py` and `run_records.py` define the format."""
 
 import re
 from collections.abc import Mapping
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
-SIGNALS = 2  # version of signals at a sample; those of logs without it are as of `RoadInput.earlier`
-NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
+SIGNALS = 2  # version of the signals at a sample; logs without a version contain the signals of `RoadInput.earlier`
+NAME = re.compile(r"[\w-]{1,120}")  # name of a run: the name of its controller, with additions by a command
 RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
-# Responses of a run: topics in an MCAP file, and entities in a Rerun file. In files and in result.json the exact sampled response
-# is called `linear`; everywhere else it is "sampled".
+# Topics of the responses of a run in an MCAP file, and entities in a Rerun file. In files and in result.json, the exact sampled
+# response is called `linear`; everywhere else it is called "sampled".
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
-LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of this format lack them
-MEASURED_TOPIC = "measured"  # topic of a measured log, if any, at its own times
-WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
+LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of this format do not have them
+MEASURED_TOPIC = "measured"  # topic of a measured log, if present, with its own times
+WHOLE = ("bump", "drive")  # commands whose logs contain all runs of the result, so that the whole result can be recomputed
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +31,18 @@ class RunLog:
     """Recorded data of one run.
 
     Attributes:
-        name: the controller's name.
-        responses: responses by topic: MuJoCo's, the exact sampled one, and that of the paper's continuous loop.
-        metadata: claims about the run, as text by key; structured values as JSON.
-        events: (time [s], text): lift-off and landing, divergence.
-        summary: design and verdict as Markdown.
-        scene: drawing of the vehicle.
-        verdict: result of the comparison, in a few words; empty if nothing was compared.
-        files: attachments that its metadata names, (media type, content) by name, as the points of a measured road.
+        name: name of the run, usually that of its controller.
+        responses: responses by topic: simulated by MuJoCo, exact sampled, and of the paper's continuous loop.
+        metadata: claims about the run, as text by key. Structured values are JSON.
+        events: time [s] and text of each event: lift-off, landing, divergence.
+        summary: design and verdict, as Markdown.
+        scene: drawing of the vehicle over time.
+        verdict: short result of the comparison; empty if nothing was compared.
+        files: attachments that the metadata refers to, for example the points of a measured road; (media type, content) by
+            name.
         other_signals: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
-        diagrams: diagrams of damper and spring forces, each over its argument.
-        active: states of its controller by decreasing contribution to the force; viewers show the first of many.
+        diagrams: diagrams of damper and spring forces over velocity or deflection.
+        active: states of the controller, the largest contribution to the force first. Viewers show only the first ones.
     """
 
     public_name = "a log, such as sim.run_log returns"
@@ -60,7 +61,7 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """MuJoCo minus sampled, over each signal's peak, or None unless both responses exist."""
+        """Difference MuJoCo minus sampled, relative to the peak of each signal; None unless both responses exist."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])

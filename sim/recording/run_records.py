@@ -1,4 +1,4 @@
-"""Conversion of a run to a `RunLog`: its provenance (versions, command line, vehicle file, MJCF), results and scene."""
+"""Conversion of a run to a `RunLog`: versions, command line, vehicle file, MuJoCo model, results and scene."""
 
 import datetime
 import hashlib
@@ -44,30 +44,31 @@ FORMS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
 }
 
-FRAMES = 60  # per second
-LONGEST = 60  # letters of a vehicle file in the name of a log
+FRAMES = 60  # frames per second
+LONGEST = 60  # largest number of letters of a vehicle file's name in the name of a log
 
-BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start and ahead of the first at the end [m]
-SPACING, MOST = 0.05, 20_000  # spacing of a profile's points [m], and their largest number, without those under wheels
+BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start, and ahead of the first wheel at the end [m]
+SPACING, MOST = 0.05, 20_000  # spacing of the points of a profile [m], and their largest number without the points under wheels
 
 
 def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
-    """Returns a run as a scene of 60 frames per second.
+    """Converts a run to a scene with 60 frames per second.
 
-    Names in the MJCF determine the drawing: a spring from every site `NAME_bottom` to `NAME_top`, with the force of an actuator
-    on the tendon NAME, and a tyre for a cylinder with the name of a tendon, of that tendon's length.
+    The names in the MuJoCo model determine the drawing. A spring is drawn from every site `NAME_bottom` to `NAME_top`, with the
+    force of an actuator on the tendon NAME. A cylinder with the name of a tendon is drawn as a tyre, with the length of this
+    tendon.
 
     Args:
-        road_input: the vehicle and its road, at the samples of the response.
-        physics: the response, at equidistant sample times from 0.
-        qpos: generalized positions, shape (T, nq).
+        road_input: vehicle and road, at the samples of the response.
+        physics: simulated response, at equidistant sample times from 0.
+        qpos: MuJoCo's generalised positions, shape (T, nq).
     """
     vehicle, time, timestep = road_input.vehicle, physics.time, road_input.timestep
     model = build_model(vehicle, timestep)
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGENCE_LIMIT, axis=-1)]
-    heights = road_input.heights[frames]  # not computed again, which is slow for a random road at uneven times
+    heights = road_input.heights[frames]  # computing these heights again would be slow for a random road at uneven times
     mocap = mocap_indices(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
     springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]
@@ -98,16 +99,17 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
 
 
 def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
-    """Returns the road's profiles, one for all wheels on a common track; none for a rig, whose posts are bodies.
+    """Returns the road profiles, one for all wheels on a common track; none for a test rig, whose posts are bodies.
 
     Args:
-        places: positions of the wheels, shape (r, 3) [m].
+        places: positions of the wheels [m], shape (r, 3).
         time: times of the frames [s], shape (F,).
         heights: road heights under the wheels at these times [m], shape (F, r).
     """
     if not len(time) or not road.laid:
         return ()
-    # Positions to the micrometre: wheels that the drawing has in other places than the parameters get their own profiles.
+    # Positions are compared to the micrometre. Wheels whose positions differ between drawing and parameters get their own
+    # profiles.
     wheels: dict[tuple[str, float, float], list[int]] = {}
     later = np.array(delays(road, vehicle))
     for i, wheel in enumerate(vehicle.kind.wheels):
@@ -116,10 +118,10 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
     first, last = -BEHIND / road.speed - later.max(), time[-1] + AHEAD / road.speed
     count = int(min(np.ceil((last - first) * road.speed / SPACING) + 1, MOST))
-    even = np.linspace(first, last, count)  # a random road is fast at evenly spaced times
+    even = np.linspace(first, last, count)  # a random road is fast to compute at evenly spaced times
     tracks = []
     for (side, start, middle), members in wheels.items():
-        # Every wheel is at a point in every frame.
+        # The profile has a point at every wheel in every frame.
         t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
         height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
         bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
@@ -128,7 +130,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
-    """Returns the signal of every actuator on a tendon, by tendon, without actuators added for curves."""
+    """Returns the signal of every actuator on a tendon, by tendon. Actuators added for characteristics are omitted."""
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
     controls = {i: name for i, name in names.items() if not name.startswith(FITTED_PREFIX)}
@@ -136,7 +138,10 @@ def _actuators(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
-    """Returns the tyre of geom `i`; its tendon runs from the road to the hub, and is slack at the radius of the tyre."""
+    """Returns the tyre of geom `i`.
+
+    The tendon of the tyre runs from the road to the hub, and is slack above the radius of the tyre.
+    """
     shape = _shape(model, i)
     return Tyre(
         name=shape.name,
@@ -173,17 +178,20 @@ def record_runs(
     result: Mapping[str, Any],
     measured: Response | None = None,
 ) -> dict[str, str]:
-    """Records the runs of a command by `sim.recording.files.record`, under its name, vehicle file, controllers and time (UTC).
+    """Records the runs of a command with `sim.recording.files.record`.
+
+    The file name consists of the command, the vehicle file, the controllers and the time (UTC).
 
     Args:
-        command_line: `python -m sim.COMMAND ...`, which repeats the runs.
+        command_line: command line `python -m sim.COMMAND ...` that repeats the runs.
+        vehicle: vehicle of the runs.
         controllers: names of the controllers, for the name of the log.
-        runs: runs by name in the log.
-        result: result for `--json`.
+        runs: runs by their name in the log.
+        result: result as for `--json`.
         measured: measured signals over the time of the runs, if any.
 
     Returns:
-        Paths of the files, as of `sim.recording.files.record`.
+        Paths of the files, as for `sim.recording.files.record`.
 
     Raises:
         InputError: the folder cannot be written.
@@ -217,12 +225,12 @@ def record_runs(
 
 
 def _attachment_name(what: str, suffix: str, content: bytes) -> str:
-    """Returns the name of an attachment, with a hash, so that runs share equal attachments."""
+    """Returns the name of an attachment. The name contains a hash, so that runs share equal attachments."""
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 
 def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
-    """Returns the claims of a run, which `sim.inspect` compares, and the attachments that they name: (media type, content)."""
+    """Returns the claims of a run, which `sim.inspect` verifies, and the attachments for these claims: (media type, content)."""
     vehicle, road, controller, agreement = run.vehicle, run.road, run.controller, run.agreement
     files: dict[str, tuple[str, bytes]] = {}
     named: dict[str, str] = {}
@@ -267,15 +275,18 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
 
 
 def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog:
-    """Returns the data of a run to be recorded, for `sim.record`.
+    """Converts a run to the data that `sim.record` writes.
 
     Args:
-        run: run from MuJoCo, not from a log.
+        run: run that MuJoCo has simulated, not a run from a log.
         name: name of the run in the log.
-        measured: measured signals over the time of the run, if any; those of other vehicles are left out.
+        measured: measured signals over the time of the run, if any. Signals that the vehicle does not have are omitted.
+
+    Returns:
+        Responses, metadata, events, scene and verdict of the run.
 
     Raises:
-        InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.
+        InputError: the name contains characters other than letters, digits, '_' and '-', or more than 120 characters.
 
     Example:
         >>> import tempfile
@@ -319,11 +330,11 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
 
 
 def _active(run: Run) -> tuple[str, ...]:
-    """Returns the names of a controller's states by decreasing peak contribution to the force in the sampled response."""
+    """Returns the names of a controller's states, the largest peak contribution to the force in the sampled response first."""
     if run.controller.linear is False:
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
     gains = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable loop
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow
         peaks = [float(np.nan_to_num(gain * run.sampled.peak(name), nan=np.inf)) for gain, name in zip(gains, names, strict=True)]
     return tuple(names[i] for i in np.argsort(-np.array(peaks), kind="stable"))

@@ -10,7 +10,7 @@ from models.common.arrays import Array
 
 
 def rotation_matrix(quaternion: Array) -> Array:
-    """Returns the rotation of a quaternion (w, x, y, z), of any length but 0, as a matrix, shape (3, 3)."""
+    """Returns the rotation matrix of a quaternion (w, x, y, z), shape (3, 3). The quaternion need not be normalised."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))  # pyright: ignore[reportAttributeAccessIssue] - no stubs
     return matrix.reshape(3, 3)
@@ -18,16 +18,16 @@ def rotation_matrix(quaternion: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A solid on a body.
+    """Solid that is fixed to a body.
 
     Attributes:
-        name: unique within its body.
-        body: the body that carries it.
+        name: name of the solid, unique within its body.
+        body: name of the body that carries the solid.
         form: "box", "cylinder", "capsule" or "sphere".
-        half_size: box: half edges; others: (radius, half length along z, 0) [m], shape (3,).
+        half_size: half edges of a box, or (radius, half length along z, 0) of other forms [m], shape (3,).
         position: centre in the body's frame [m], shape (3,).
         quaternion: orientation in the body's frame, (w, x, y, z).
-        rgba: colour, 0 to 1, shape (4,).
+        rgba: colour from 0 to 1, shape (4,).
     """
 
     name: str
@@ -40,12 +40,12 @@ class Shape:
 
     @property
     def rotation(self) -> Array:
-        """Orientation in the body's frame as a matrix, shape (3, 3)."""
+        """Orientation in the frame of the body as a matrix, shape (3, 3)."""
         return rotation_matrix(self.quaternion)
 
     @property
     def half_edges(self) -> Array:
-        """Half edges of its bounding box, along its axes [m], shape (3,)."""
+        """Half edges of the bounding box, along its axes [m], shape (3,)."""
         radius, half_length, _ = self.half_size
         match self.form:
             case "box":
@@ -59,7 +59,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of a body: world positions [m], shape (F, 3), and orientations (w, x, y, z), shape (F, 4), per frame."""
+    """Motion of a body in F frames: positions in the world [m], shape (F, 3), and orientations (w, x, y, z), shape (F, 4)."""
 
     positions: Array
     quaternions: Array
@@ -67,16 +67,16 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Tyre:
-    """A tyre with a flat contact patch, undeformed in the air.
+    """Tyre with a flat contact patch. In the air, the tyre is undeformed.
 
     Attributes:
-        name: unique within its body.
-        body: the body that carries it, with the hub at its origin.
+        name: name of the tyre, unique within its body.
+        body: name of the body that carries the tyre. The hub is at its origin.
         radius: undeformed radius [m].
-        half_width: half of the tyre's width [m].
-        middle: middle of its width along the axle, y of the body's frame [m].
-        height: height of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the ground.
-        rgba: colour, 0 to 1, shape (4,).
+        half_width: half the width of the tyre [m].
+        middle: middle of the tyre along the axle, as y in the frame of the body [m].
+        height: height of the hub above the road in each frame [m], shape (F,). Above `radius`, the tyre is off the ground.
+        rgba: colour from 0 to 1, shape (4,).
     """
 
     name: str
@@ -89,20 +89,20 @@ class Tyre:
 
     @property
     def lifted(self) -> Array:
-        """Mask of the frames in which the tyre is off the ground, shape (F,)."""
+        """True for the frames in which the tyre is off the ground, shape (F,)."""
         return self.height > self.radius
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A road's profile along one track, which moves towards the vehicle.
+    """Profile of a road along one track, which moves towards the vehicle.
 
     Attributes:
-        middle: middle of its width, along y [m].
-        position: ascending positions of its points along x at time 0 [m], shape (N,).
+        middle: middle of the track, as y in the world [m].
+        position: positions of its points along x at time 0, ascending [m], shape (N,).
         height: heights of the points [m], shape (N,).
-        travelled_distance: distance by which the points have moved back, per frame [m], shape (F,).
-        bodies: pieces of road under the wheels, which replace the profile in other viewers.
+        travelled_distance: distance by which the points have moved backwards in each frame [m], shape (F,).
+        bodies: names of the pieces of road under the wheels, which other viewers show instead of the profile.
     """
 
     middle: float
@@ -114,16 +114,16 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A run to be drawn.
+    """Drawing of a run over time.
 
     Attributes:
-        time: frame times [s], shape (F,).
-        shapes: the solids.
-        bodies: motion of every body that carries one.
-        springs: ends of springs with dampers, at the wheel and at the body [m], shape (F, 2, 3), by name.
-        tyres: the deformable ones.
-        forces: control forces that push the ends of a spring apart [N], shape (F,), by the spring's name.
-        tracks: the road.
+        time: times of the frames [s], shape (F,).
+        shapes: solids on bodies.
+        bodies: motion of every body that carries a solid, by name.
+        springs: ends of each spring with its damper, at the wheel and at the body [m], shape (F, 2, 3), by name.
+        tyres: tyres that deform.
+        forces: control forces that push the ends of a spring apart [N], shape (F,), by name of the spring.
+        tracks: profiles of the road.
     """
 
     time: Array
@@ -135,7 +135,10 @@ class Scene:
     tracks: tuple[Track, ...] = ()
 
     def finite(self) -> "Scene":
-        """Returns the scene with only the frames in which all numbers are finite: after a run broke off, the car stops."""
+        """Returns the scene with only the frames in which all numbers are finite.
+
+        The car then stops when a run becomes invalid.
+        """
         numbers = [part for motion in self.bodies.values() for part in (motion.positions, motion.quaternions)]
         numbers += [*self.springs.values(), *self.forces.values(), *(tyre.height for tyre in self.tyres)]
         mask = np.ones(len(self.time), dtype=bool)
@@ -153,7 +156,10 @@ class Scene:
 
     @property
     def flat(self) -> bool:
-        """True if it is wider than long, as a vehicle in the roll plane: it is then seen from behind, not from the left."""
+        """True if the scene is wider than long, as for a vehicle in the roll plane.
+
+        Viewers then show the scene from behind instead of from the left.
+        """
         low, high = self.finite().extent()
         return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
 
@@ -177,28 +183,33 @@ class Scene:
         return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-TURNS, POINTS = 6, 49  # of a coil
-SECTORS = 40  # of a tyre
+TURNS, POINTS = 6, 49  # turns and points of a coil
+SECTORS = 40  # sectors of a tyre
 
 # Radius [m] and colour of the lines of a strut: coil, rod and tube.
 LINES = ((0.011, (235, 175, 45)), (0.012, (165, 170, 178)), (0.03, (95, 100, 110)))
 
-LIFTED_COLOUR = (214, 39, 40)  # colour of a tyre off the ground
-FORCE, LONGEST = (190, 60, 200), 0.3  # colour of a force's arrow, and length of the largest [m]
-BESIDE = np.array([0.0, 0.16, 0.0])  # position of an arrow, from the middle of its spring [m]
+LIFTED_COLOUR = (214, 39, 40)  # colour of a tyre that is off the ground
+FORCE, LONGEST = (190, 60, 200), 0.3  # colour of the arrow of a force, and length of the longest arrow [m]
+BESIDE = np.array([0.0, 0.16, 0.0])  # position of an arrow relative to the middle of its spring [m]
 
 ROAD, THICK = 0.2, 0.12  # half width and thickness of a track [m]
 ASPHALT, SIDE, PROFILE = ((104, 107, 113), (124, 127, 133)), (70, 72, 78), (250, 250, 245)  # colours of a track
 
 
 def largest_force(scenes: Iterable[Scene]) -> float:
-    """Returns the largest control force of all scenes [N], for a common scale of their arrows."""
+    """Returns the largest control force of all scenes [N], which gives a common scale of their arrows."""
     forces = [np.abs(force).max() for scene in scenes for force in scene.finite().forces.values() if len(force)]
     return float(max(forces, default=0.0))
 
 
 def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
-    """Returns tail and vector [m] of the arrow of each control force, shapes (F, 3), by spring; `largest` [N] is the longest."""
+    """Returns the tail and the vector [m] of each control-force arrow by spring, shapes (F, 3).
+
+    Args:
+        scene: drawing of a run.
+        largest: force of the longest arrow [N].
+    """
     drawn = {}
     for name, force in scene.forces.items():
         ends = scene.springs[name]
@@ -211,7 +222,8 @@ def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
     """Returns coil, rod and tube of a spring with a damper, shapes (F, points, 3), from its ends [m], shape (F, 2, 3).
 
-    The tube is fixed to the body, with half the length of the strut in the first frame, so that the rod visibly moves.
+    The tube is fixed to the body. The tube is half as long as the strut in the first frame, so that the motion of the rod is
+    visible.
     """
     start, axis = ends[:, 0], ends[:, 1] - ends[:, 0]
     if not len(ends):
@@ -231,10 +243,10 @@ def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
 
 
 def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
-    """Returns a tyre with its contact patch as a surface.
+    """Returns the surface of a tyre with its contact patch.
 
     Returns:
-        Its vertices in the frame of its body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of its triangles, shape
+        The vertices in the frame of the body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of the triangles, shape
         (4 SECTORS, 3).
     """
     angle = 2 * np.pi * np.arange(SECTORS) / SECTORS
@@ -256,10 +268,10 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
 
 
 def road_surface(track: Track) -> tuple[Array, Array, Array]:
-    """Returns a track as a slab, whose shade of grey alternates every metre, so that it visibly moves.
+    """Returns a track as a slab. The shade of grey alternates every metre, which makes the motion visible.
 
     Returns:
-        Its vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and its triangles, shape (6 (N - 1), 3).
+        The vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N - 1), 3).
     """
     count = len(track.position)
     left, right, under = track.middle + ROAD, track.middle - ROAD, track.height - THICK
@@ -277,7 +289,7 @@ def road_surface(track: Track) -> tuple[Array, Array, Array]:
 
     here = np.arange(count - 1)
     quads = []
-    for one, other in ((0, 1), (2, 3), (4, 5)):  # the top and both sides
+    for one, other in ((0, 1), (2, 3), (4, 5)):  # the top and both sides of the slab
         a, b = here + one * count, here + other * count
         quads += [np.stack([a, b, a + 1], axis=1), np.stack([a + 1, b, b + 1], axis=1)]
     return vertices, colours, np.concatenate(quads)

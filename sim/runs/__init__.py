@@ -1,1 +1,4 @@
-"""Runs of one vehicle, road and controller: physics and predictions, their comparison, acting forces, and their text."""
+"""Runs of one vehicle, road and controller: simulation, predictions, their comparison, forces, and reports.
+
+Start with `run.py`.
+"""

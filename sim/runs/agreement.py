@@ -1,20 +1,20 @@
-"""Verdict on a run: MuJoCo's steps are those of the vehicle's equations, and its commands are those of the control law.
+"""Verdict on a run: do MuJoCo's steps follow the vehicle's equations, and its commands the control law?
 
 A run agrees if two local checks hold:
 
 1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations from the same state (`sim.observers.steps`).
-   This covers lift-off, stops, characteristics, dampers, and large angles.
-2. Every command equals the control law evaluated on the measurements of the run itself (`sim.observers.commands`). This covers
-   sampling, delay, noise, quantisation, limits, and exported code.
+   This check includes lift-off, stops, characteristics, dampers and large angles.
+2. Every command equals the command of the control law for the measurements of the run (`sim.observers.commands`). This check
+   includes sampling, delay, noise, quantisation, limits and exported code.
 
-Its trajectory then is that of the equations and the law. The distance from the linear response is a measurement, with a cause:
-the integrator, geometry, noise, or an event that ends the linear regime.
+If both checks hold, the trajectory is that of the equations and the law. The distance from the linear response is then a
+measurement. The cause of this distance is the integrator, geometry, noise, or an event that ends the linear regime.
 
-Linear analysis applies to such a run because the equations are linear until that event, or nearly. `LinearComparison`
-computes the distance only when it is needed, and the verdict does not need it.
+Linear analysis applies to such a run because the equations are linear, or nearly linear, until this event. `LinearComparison`
+computes the distance only if it is needed. The verdict does not need it.
 
-A vehicle type that rotates and has no equations of motion is compared to first order: the same road is driven at `SMALL` of its
-height, where the relative difference from the linear response must have fallen by the same factor.
+A vehicle type that rotates but has no equations of motion is compared to first order. The same road is driven at `SMALL` of its
+height, where the relative difference from the linear response must be smaller by the same factor.
 """
 
 import math
@@ -41,23 +41,25 @@ from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreem
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
 
-ROUNDING = 1e-9  # of a peak, over thousands of steps
-COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run
-SMALL = 1e-2  # share of the road's height at which the effect of geometry has to vanish
+ROUNDING = 1e-9  # relative to a peak, over thousands of steps
+COARSEST = 1e-2  # relative to a peak; if RK4's own error is larger, the time step is too coarse for an accurate run
+SMALL = 1e-2  # share of the road height at which the effect of geometry must vanish
 NO_REFERENCE = "no linear analysis"
-SLACK = 1.5  # factor on the predicted integrator error, which is a maximum over time of one of two nearly equal curves
+SLACK = 1.5  # factor for the predicted integrator error, which is a maximum over time for one of two nearly equal curves
 
 
 @dataclass(frozen=True)
 class SignalAgreement:
-    """Difference of one signal of the physics from linear analysis, while that applies.
+    """Difference between one simulated signal and linear analysis, as long as linear analysis applies.
 
     Attributes:
-        sampled: largest difference from the exact sampled response, over that response's peak; NaN without such a response.
-        continuous: difference from the continuous closed loop, including the effect of holding the force over a step; likewise.
-        allowed: bound on `sampled` by RK4's own error and rounding; NaN where the difference is a measurement alone.
-        scale: scale of these differences, in the signal's unit.
-        small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
+        sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN without such a
+            response.
+        continuous: largest difference from the continuous closed loop, which includes the effect of holding the force over a
+            step; relative to the peak, NaN without a response.
+        allowed: bound on `sampled` due to RK4's own error and rounding; NaN if the difference is only a measurement.
+        scale: value to which the differences are relative [unit of the signal].
+        small: value of `sampled` for the same road at `SMALL` of its height; None if it was not needed.
     """
 
     sampled: float
@@ -68,26 +70,26 @@ class SignalAgreement:
 
     @property
     def excess(self) -> float:
-        """Returns the difference over its allowed value: at `SMALL` of the height if the run was repeated there."""
+        """Difference relative to the allowed value; at `SMALL` of the road height if the run was repeated there."""
         if self.small is None:
             return self.sampled / self.allowed
         return self.small / (SLACK * SMALL * self.sampled + self.allowed)
 
     @property
     def agrees(self) -> bool:
-        """Returns True if the difference is allowed, or a measurement alone."""
+        """True if the difference is allowed, or is only a measurement."""
         return not self.excess > 1
 
 
 @dataclass(frozen=True, eq=False)
 class LinearComparison:
-    """Differences of a run from its linear responses, while linear analysis applies.
+    """Differences of a run from its linear responses, as long as linear analysis applies.
 
     Attributes:
         prediction: linear responses of the run.
-        physics: response of MuJoCo.
-        until: time before which linear analysis applies [s]; infinite for all of the run.
-        small: response of MuJoCo over `SMALL` of the road's height, to which the linear responses are proportional; None without.
+        physics: simulated response.
+        until: time until which linear analysis applies [s]; infinite if it applies to the whole run.
+        small: simulated response for `SMALL` of the road height, or None. The linear responses are proportional to the height.
     """
 
     prediction: Prediction
@@ -97,14 +99,14 @@ class LinearComparison:
 
     @property
     def cause(self) -> str:
-        """Largest cause of the differences, in words."""
+        """Largest cause of the differences, as text."""
         own = "rounding" if self.prediction.vehicle.parts.nonlinear and self.prediction.is_linear else "RK4's own error"
         return self.prediction.cause or own
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def signals(self) -> Mapping[str, SignalAgreement]:
-        """Differences of each output signal, by name."""
+        """Differences of each output signal by name."""
         prediction, signals = self.prediction, dict[str, SignalAgreement]()
         responses = (self.physics, prediction.sampled, prediction.continuous)
         physics, sampled, continuous = (one.until(self.until) for one in responses)
@@ -118,22 +120,23 @@ class LinearComparison:
 
     @property
     def agrees(self) -> bool:
-        """Returns False if an exactly linear run leaves its sampled response by more than RK4 does, else True."""
+        """False if the difference of an exactly linear run exceeds the error of RK4; otherwise True."""
         return all(signal.agrees for signal in self.signals.values())
 
     @property
     def coarse(self) -> bool:
-        """Returns True if RK4's own error on the linear response is larger than `COARSEST`."""
+        """True if RK4's own error of the linear response exceeds `COARSEST`."""
         rate, prediction = effect_on_states(self.prediction.vehicle)[0], self.prediction
-        # RK4 turns exp(z) into a polynomial that differs by z^5 / 120, at each of the steps. Sharp knots may make more.
+        # In each step, RK4 replaces exp(z) by a polynomial with an error of z^5 / 120. Sharp knots of characteristics may
+        # increase this error.
         most = rate * float(prediction.time[-1]) * (rate * prediction.timestep) ** 4 / 120
         doubtful = most > COARSEST / 4 or prediction.vehicle.parts.nonlinear
         return doubtful and any(error > COARSEST for error in self._own_errors.values())
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def _own_errors(self) -> dict[str, float]:
-        """Returns RK4's own error of each signal, over the peak of the response without that error."""
+        """RK4's own error of each signal, relative to the peak of the response without this error."""
         exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer
         integrated, exact = self.prediction.integrated.until(self.until), exact.until(self.until)
         return {name: _difference(integrated, exact, name) for name in self.prediction.vehicle.linear_model.outputs}
@@ -141,7 +144,7 @@ class LinearComparison:
     def _to_first_order(
         self, signals: Mapping[str, SignalAgreement], sampled: Response, physics: Response
     ) -> dict[str, SignalAgreement]:
-        """Adds the differences at `SMALL` of the road's height, for a vehicle type that rotates without equations of motion."""
+        """Adds the differences at `SMALL` of the road height, for a vehicle type that rotates but has no equations of motion."""
         smaller = Response(sampled.time, sampled.signals, SMALL * sampled.values)
         rounding, done = roundings(self.prediction.vehicle, None), dict[str, SignalAgreement]()
         for name, signal in signals.items():
@@ -152,15 +155,16 @@ class LinearComparison:
 
 @dataclass(frozen=True, repr=False)
 class Agreement(ShownResult):
-    """The verdict on one run.
+    """Verdict on one run.
 
     Attributes:
-        lift_off: intervals [s] in which a tyre is off the ground.
-        end_times: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
-        linear: differences from linear analysis, while that applies.
-        steps: steps against the vehicle's exact equations, also after `until`; None if they are not known.
-        commands: commands against the control law; None if they are not known, as in the log of a law in Python.
-        code_effect: difference of exported code from the law, which must be small; None without such code.
+        lift_off: intervals in which a tyre is off the ground [s].
+        end_times: first time of each of `REGIME_ENDS` by name [s]; infinite if it does not occur.
+        linear: differences from linear analysis, as long as it applies.
+        steps: comparison of the steps with the vehicle's exact equations, also after `until`; None without equations.
+        commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
+            law.
+        code_effect: difference between exported code and the law, which must be small; None without exported code.
     """
 
     lift_off: tuple[tuple[float, float], ...]
@@ -172,7 +176,7 @@ class Agreement(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
+        """Document with the verdict, the ends of the linear regime, and the largest difference of each signal."""
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.end_times.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
         return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
@@ -184,50 +188,51 @@ class Agreement(ShownResult):
 
     @property
     def until(self) -> float:
-        """Time before which linear analysis applies [s]; infinite for all of the run."""
+        """Time until which linear analysis applies [s]; infinite if it applies to the whole run."""
         return self.linear.until
 
     @property
     def cause(self) -> str:
-        """Largest cause of the differences from linear analysis, in words."""
+        """Largest cause of the differences from linear analysis, as text."""
         return self.linear.cause
 
     @property
     def coarse(self) -> bool:
-        """Returns True if the timestep is too coarse for accurate numbers, by RK4's own error on the linear response."""
+        """True if the time step is too coarse for accurate results, according to RK4's own error of the linear response."""
         return self.linear.coarse
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every step and every command is right, as far as they are known, and nothing contradicts them."""
+        """True if all known checks of steps and commands hold, and at least something was compared."""
         checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
         checks = (self.steps, self.commands, self.code_effect)
         return checked and self.follows_linear and all(one is None or one.agrees for one in checks)
 
     @property
     def follows_linear(self) -> bool:
-        """Returns False if a run whose steps cannot be checked leaves its linear response, else True."""
+        """False if the steps of a run cannot be checked, and the run differs from its linear response; otherwise True."""
         return self.steps is not None or self.linear.agrees
 
     @property
     def equations_invalid(self) -> bool:
-        """Returns True if the comparison ends because the vehicle's exact equations do not take the state of physics."""
+        """True if the comparison ends because the vehicle's exact equations are not valid for the simulated state."""
         return self.steps is not None and self.steps.equations_invalid and self.steps.until == self.until
 
 
 def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffect | None" = None) -> Agreement:
-    """Returns the verdict on one run of MuJoCo.
+    """Returns the verdict on one MuJoCo run.
 
     Args:
         prediction: linear responses of the run.
-        recording: the run.
-        code_effect: difference of exported code from the law, or None without such code.
+        recording: recording of the run.
+        code_effect: difference between exported code and the law; None without exported code.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
-    # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
+    # In a loop that grows threefold per step, a hub may pass through the road and back within a step. The predicted deflections
+    # show this.
     if prediction.is_linear and _passes_through(vehicle, physics):
         foretold = dict(zip(END_NAMES, end_times(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
         if foretold < until:
@@ -235,7 +240,7 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
     if (compare_steps := OBSERVERS.load_if_known("steps")) is not None:
         end = min(ended[FLAT.name], diverged)
-        if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
+        if vehicle.kind.motion is None:  # the linear model of such a vehicle type is only valid while all tyres are in contact
             end = min(end, ended[LIFT_OFF.name], loose)
         steps = compare_steps(road, recording, end, rounding)
         if steps is not None and steps.equations_invalid:
@@ -247,12 +252,12 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
 
 
 def _passes_through(vehicle: Vehicle, physics: Response) -> bool:
-    """Returns True if a tyre reads so long or short that a hub may have been through the road between two samples."""
+    """Returns True if a tyre is so long or short that its hub may have passed through the road between two samples."""
     return any(np.abs(physics[wheel.tyre_deflection]).max(initial=0.0) > MOST_SQUEEZE / 2 for wheel in vehicle.kind.wheels)
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals in which any tyre is off the ground: first and last sample [s], in order of their start."""
+    """Returns the intervals in which any tyre is off the ground as first and last sample [s], in the order of their starts."""
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
         off = np.concatenate([[False], limit.towards(limit.of(physics)) >= AT * limit.value, [False]])
@@ -262,10 +267,10 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def first_loose(met: RoadInput, physics: Response) -> float:
-    """Returns the first sample [s] before which a tyre may have been off the ground within a step; infinite without one.
+    """Returns the first sample before which a tyre may have been off the ground within a step [s], or infinity.
 
-    MuJoCo holds the road at one height over a step, so within it a tyre is shorter or longer than at the samples. The
-    curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
+    MuJoCo holds the road at one height over a step, so a tyre may be shorter or longer within the step than at the samples. The
+    second difference of a hub's path bounds its curvature within a step, as the stages of RK4 evaluate it.
     """
     vehicle, first, physics = met.vehicle, np.inf, from_steady(met, physics)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -284,7 +289,7 @@ def first_loose(met: RoadInput, physics: Response) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Returns the largest difference over time, over the reference's scale; 0 if neither ever moves, NaN without a reference."""
+    """Returns the largest difference over time, relative to the reference's scale; 0 without motion, NaN without a reference."""
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))
@@ -292,5 +297,5 @@ def _difference(response: Response, reference: Response, signal: str) -> float:
 
 
 def _scale(reference: Response, signal: str) -> float:
-    """Returns the scale of a signal's differences: the reference's scale, or 1 in its unit if nothing ever moves."""
+    """Returns the value to which differences of a signal are relative: the reference's scale, or 1 if nothing moves."""
     return (reference.scale(signal) if len(reference.time) else 0.0) or 1.0

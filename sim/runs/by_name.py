@@ -1,4 +1,4 @@
-"""Runs of a vehicle's controllers, which may be named as its file names them."""
+"""Runs of a vehicle's controllers, which can be given by their names in the vehicle file."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -28,21 +28,26 @@ def run(
     duration: Time = 3.0,
     timestep: Time = USUAL_TIMESTEP,
 ) -> list[Run]:
-    """Returns a run for each controller, over the road from rest: MuJoCo, the linear prediction, and whether they agree.
+    """Simulates each controller over a road from equilibrium in MuJoCo, and compares with linear analysis.
 
     Args:
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
-            necessary. A function is a law, too: law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the
-            force [N], a number or shape (m,); law(sample, state) returns force and next state, as in a file. It measures the
-            signals of its attribute `measured`, or all that can be measured. An object with the methods of `sim.Driver` is a law,
-            too. A single controller gives a list of one run.
-        road: the road, such as `models.Bump(height=0.1)`.
+            necessary. A function is also a control law. law(t, y) receives the time [s] and the q measurements, shape (q,). The
+            function returns the force [N], a number or an array of shape (m,). A function law(sample, state) returns the force
+            and the next state, as in a file. The function measures the signals in its attribute `measured` or, by default, all
+            measurable signals. An object with the methods of `sim.Driver` is also a control law. A single controller gives a
+            list with one run.
+        road: road to drive over, for example `models.Bump(height=0.1)`.
         duration: duration of the run [s].
-        timestep: MuJoCo's timestep [s], and the controllers' sample period if the vehicle file has none.
+        timestep: time step of MuJoCo [s]. The time step is also the sample period of the controllers if the vehicle file does
+            not define one.
+
+    Returns:
+        One run per controller, with the simulated response, the predicted responses, and the verdict `agrees`.
 
     Raises:
-        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, a time is not allowed, or a
-            function fails.
+        InputError: the vehicle cannot drive over this road, a controller belongs to another vehicle, a time is not allowed, or
+            a function fails.
         DesignError: a controller cannot be designed.
 
     Example:
@@ -67,7 +72,7 @@ def run(
 
 
 def _driver(designer: Designer, given: ControllerLike) -> AnyController:
-    """Returns the controller of a name, of an entry of the vehicle file, or of a function."""
+    """Returns the controller for a name, an entry of the vehicle file, or a function."""
     if isinstance(given, AnyController):
         return given
     if not isinstance(given, str | ControllerEntry):

@@ -1,7 +1,7 @@
-"""Effect of exported code on a run, measured in MuJoCo: the difference from the same run with the law itself.
+"""Effect of exported code on a run: the difference from the same MuJoCo run with the control law itself.
 
-The run with the law must agree, and the code may move no signal of it by more than `MOST` of its peak. That every command of the
-run is that of the code is a check of its own (`sim.observers.commands`).
+The run with the law must agree with the model, and the code may change no signal by more than `MOST` of its peak. A separate
+check compares every command of the run with the code (`sim.observers.commands`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,20 +16,20 @@ from sim.drive.response import Response
 from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
-MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
+MOST = 1e-2  # relative to a peak; code that changes a signal by more does not implement the law
 
 
 @dataclass(frozen=True, eq=False)
 class CodeEffect:
-    """Difference of a run with exported code from the run with the law itself.
+    """Difference between a run with exported code and the run with the control law itself.
 
     Attributes:
-        numbers: numbers of the code, see `ExportedLaw`.
-        apart: difference of each output signal at every sample until either run diverges, by name.
-        share: largest difference of any signal over its scale, while linear analysis applies.
-        signal: name of that signal.
-        law_agrees: True if the run with the law itself agrees.
-        clipped_readings: readings that leave their range in fixed point, where the code clips them.
+        numbers: number format of the code, see `ExportedLaw`.
+        apart: difference of each output signal at every sample by name, until one of the runs diverges.
+        share: largest difference of all signals, relative to the scale of the signal, as long as linear analysis applies.
+        signal: name of the signal with this difference.
+        law_agrees: True if the run with the law itself agrees with the model.
+        clipped_readings: names of measurements that exceed their fixed-point range, where the code clips them.
     """
 
     numbers: str
@@ -41,7 +41,7 @@ class CodeEffect:
 
     @property
     def agrees(self) -> bool:
-        """Returns True if the law's run agrees, and the code's run is close to that of the law."""
+        """True if the run with the law agrees with the model, and the run with the code is close to it."""
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:
@@ -54,12 +54,12 @@ class CodeEffect:
 
     @property
     def failures(self) -> list[str]:
-        """Returns the reasons for which exported code does not agree; empty if it agrees."""
+        """Messages with the reasons why the exported code does not agree; empty if it agrees."""
         lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the control law itself does not agree with the model"]
         if self.share > MOST:
             lines.append(
                 f"DOES NOT AGREE: exported code changes {self.signal} by {DIFFERENCE.digits(self.share)} of its peak, "
-                f"but {MOST:g} is allowed; export the controller with finer numbers, or with smaller ranges"
+                f"but {MOST:g} is allowed; export the controller with a finer number format, or with smaller ranges"
             )
         return lines
 
@@ -70,11 +70,11 @@ def code_effect(
     """Returns the effect of exported code on a run.
 
     Args:
-        driver: the controller that the code drives.
-        physics, law_physics: the run with the code, and the run with the law itself.
-        names: output signals.
-        until: time before which linear analysis applies to the run with the law [s].
-        law_agrees: True if that run agrees.
+        driver: controller that the code implements.
+        physics, law_physics: simulated responses with the code and with the law itself.
+        names: names of the output signals.
+        until: time until which linear analysis applies to the run with the law [s].
+        law_agrees: True if the run with the law agrees with the model.
     """
     law, end = driver.code.law, min(physics.diverged, law_physics.diverged)
     code, ours, applies = physics.until(end), law_physics.until(end), law_physics.until(min(until, end))
@@ -91,4 +91,4 @@ def _differences(effect: CodeEffect) -> dict[str, Any]:
     return {name: {"peak": effect.peak(name), "rms": effect.rms(name)} for name in effect.apart}
 
 
-DIFFERENCES = Record[CodeEffect](_differences)  # of a run with exported code from that with the law, by signal
+DIFFERENCES = Record[CodeEffect](_differences)  # difference between the runs with the exported code and with the law, by signal

@@ -1,4 +1,4 @@
-"""Adjustable dampers in a run: the requested force that they did not give."""
+"""Semi-active dampers in a run: the part of the requested force that they did not supply."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from sim.linear.dampers import closing_velocities, commands_of, squarable
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Force that an adjustable damper failed to give, at the samples of its controller.
+    """Force that a semi-active damper did not supply, at the samples of its controller.
 
     Attributes:
-        rms: rms of the missing force, over that of the requested one; 0 if no force was requested.
-        time: share of the samples with missing force.
+        rms: rms of the missing force, relative to that of the requested force; 0 if no force was requested.
+        time: share of the samples at which force is missing.
         softest, hardest: smallest and largest coefficient of the damper [N s/m], or voltage [V].
-        late: shortfall like `rms`, including the lag of the valve, or None if the valve has no lag.
+        late: missing force including the lag of the valve, relative as `rms`; None if the valve has no lag.
     """
 
     rms: float
@@ -32,7 +32,7 @@ class Shortfall:
 
 
 def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
-    """Returns the shortfall of every adjustable damper in a run until it diverges, by force."""
+    """Returns the missing force of every semi-active damper in a run until it diverges, by force."""
     whole = physics.until(physics.diverged)
     if not vehicle.dampers or len(whole.time) < 2:
         return {}

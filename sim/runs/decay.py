@@ -1,9 +1,9 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
-The motion of a linear loop from sample to sample is that of its modes. Signals of the states, and those of some samples later,
-therefore follow from their values before by a matrix, which least squares give. Its eigenvalues are those of the modes. Singular
-values that rounding leaves are taken off, so that motionless modes do not matter. With curves or large angles the results are
-those of the linear loop that fits the whole decay best.
+In a linear loop, the modes determine the motion from sample to sample. The signals of the states at a few successive samples
+therefore follow from their previous values by a matrix, which is found by least squares. The eigenvalues of this matrix belong
+to the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With
+characteristics or large angles, the result is the linear loop that fits the whole decay best.
 """
 
 import math
@@ -17,11 +17,11 @@ from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states
 from sim.runs.result import RunResult
 
-PER_PERIOD = 8  # samples in a period of the fastest mode of the vehicle
-LATER = 3  # samples side by side, so that states that are no signals count, too
-SMALLEST = 1e-6  # singular value that counts, over the largest
-SHARE = 0.01  # of the decay's energy; a mode with less is not told
-FEWEST = 40  # samples of a decay
+PER_PERIOD = 8  # samples per period of the vehicle's fastest mode
+LATER = 3  # number of successive samples, so that states that are not signals are included, too
+SMALLEST = 1e-6  # relative to the largest singular value; smaller ones are removed
+SHARE = 0.01  # share of the energy of the decay; a mode with a smaller share is not reported
+FEWEST = 40  # smallest number of samples of a decay
 
 FREQUENCY = Field[float]("frequency", float, ".4g", unit="Hz")
 DAMPING = Field[float]("damping ratio", float, ".3f")
@@ -35,7 +35,7 @@ class Mode:
     Attributes:
         frequency: undamped natural frequency |s| / (2 pi) [Hz].
         damping_ratio: -Re s / |s|; 1 for a mode that does not oscillate.
-        share: share of the energy of the signals that it has, each over its peak.
+        share: share of the energy of the signals, each relative to its peak, that belongs to this mode.
     """
 
     frequency: float
@@ -44,7 +44,7 @@ class Mode:
 
     @property
     def words(self) -> str:
-        """Frequency and damping ratio in words, or the time constant of a mode that does not oscillate."""
+        """Frequency and damping ratio as text, or the time constant of a mode that does not oscillate."""
         if abs(self.damping_ratio) >= 1:
             growing = " growth" if self.damping_ratio < 0 else ""
             return f"aperiodic{growing}, time constant {TIME.text(1 / (2 * math.pi * self.frequency))}"
@@ -52,13 +52,13 @@ class Mode:
 
 
 def is_free(run: RunResult) -> bool:
-    """Returns True for a run from a given start over a flat road, without loads."""
+    """Returns True for a run from a given start, over a flat road and without loads."""
     on = run.prediction.input
     return bool(run.vehicle.start) and not on.heights.any() and not on.loaded
 
 
 def modes_of(run: RunResult, response: Response) -> tuple[Mode, ...]:
-    """Returns the modes of a free decay in a response of a run, slow ones first, after the last tyre has landed."""
+    """Returns the modes of a free decay in a response of a run after the last landing of a tyre, slow modes first."""
     landed = max((end for _, end in run.agreement.lift_off), default=-1.0)
     ends = run.broke_off[1] if run.broke_off is not None else math.inf
     whole = response.until(ends)
@@ -75,7 +75,7 @@ def modes_of(run: RunResult, response: Response) -> tuple[Mode, ...]:
     blocks = np.concatenate([signals[:, i : i + count] for i in range(LATER)])
     U, sizes, V = np.linalg.svd(blocks, full_matrices=False)
     rank = int((sizes > SMALLEST * sizes[0]).sum())
-    states = sizes[:rank, None] * V[:rank]  # of the blocks, by the first singular vectors
+    states = sizes[:rank, None] * V[:rank]  # states of the blocks in the coordinates of the first singular vectors
     step = np.linalg.lstsq(states[:, :-1].T, states[:, 1:].T)[0].T
     values, vectors = np.linalg.eig(step)
     along = np.linalg.lstsq(vectors, states.astype(complex))[0]
@@ -93,14 +93,14 @@ def modes_of(run: RunResult, response: Response) -> tuple[Mode, ...]:
 
 
 def decay_words(run: RunResult) -> str:
-    """Returns a sentence on the modes of a free decay in MuJoCo; empty without one."""
+    """Returns a sentence about the modes of a free decay in MuJoCo; empty if the run is not a free decay."""
     if not is_free(run) or not (modes := modes_of(run, run.physics)):
         return ""
     return f"free decay: {'; '.join(one.words for one in modes)}"
 
 
 def record(run: RunResult) -> dict[str, Any]:
-    """Returns the modes of a free decay as a JSON object: in MuJoCo, and by linear analysis if that applies."""
+    """Returns the modes of a free decay as a JSON object: from MuJoCo and, if linear analysis applies, from linear analysis."""
     if not is_free(run):
         return {}
     linear = modes_of(run, run.sampled) if run.prediction.is_linear and not run.agreement.lift_off else ()

@@ -1,4 +1,4 @@
-"""Damper and spring diagrams: force of a suspension over velocity or deflection, with its curve or limits."""
+"""Damper and spring diagrams: the force of a suspension over velocity or deflection, with its characteristic or limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,17 +17,17 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
 
-PREFIX = "suspension_deflection"  # begins the names of suspensions, in the kinds that ship
+PREFIX = "suspension_deflection"  # prefix of the names of suspensions in the built-in vehicle types
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line of a diagram.
+    """Line in a diagram.
 
     Attributes:
-        signal: name in a log of its force at the actual argument.
-        label, dash, width: style.
-        force: force over the argument [N].
+        signal: signal in a log with the force of the line at the actual argument.
+        label, dash, width: label and style of the line.
+        force: function that returns the force [N] at arguments.
     """
 
     signal: Signal
@@ -42,12 +42,13 @@ class Diagram:
     """Diagram of a force over its argument.
 
     Attributes:
-        title: parameter and place.
-        over: the argument, in words with the unit.
-        argument, pull: signals of the two in a log.
-        x: the argument in a response, shape (T,).
-        force: force at those x in the response, positive if it pulls [N], shape (T,).
-        lines: the drawn forces over x.
+        title: title with the name of the parameter and its place.
+        over: name of the argument, with its unit.
+        argument, pull: signals of the argument and of the force in a log.
+        x: function that returns the argument in a response, shape (T,).
+        force: function of the argument and a response that returns the force, positive if it contracts the suspension [N],
+            shape (T,).
+        lines: lines of the diagram.
     """
 
     title: str
@@ -60,7 +61,7 @@ class Diagram:
 
 
 def diagrams(vehicle: Vehicle) -> list[Diagram]:
-    """Returns the diagrams of a vehicle's curves, then of its adjustable dampers."""
+    """Returns the diagrams of a vehicle's characteristics, followed by those of its semi-active dampers."""
     adjusted = {vehicle.kind.deflection_of(adjustable.force) for adjustable in vehicle.parts.adjustable}
     alone = [fitted for fitted in vehicle.parts.with_curve if not fitted.damps or fitted.deflection not in adjusted]
     of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.parts.adjustable]
@@ -68,9 +69,9 @@ def diagrams(vehicle: Vehicle) -> list[Diagram]:
 
 
 def diagram_signals(vehicle: Vehicle, physics: Response) -> Response | None:
-    """Returns the signals of all diagrams over time, from a response, or None if the vehicle has no diagrams.
+    """Returns the signals of all diagrams over time from a response; None if the vehicle has no diagrams.
 
-    Each diagram plots the force, and the curve or the limits, over the argument.
+    Each diagram plots the force, and its characteristic or limits, over the argument.
     """
     signals: list[Signal] = []
     values: list[Array] = []
@@ -95,9 +96,13 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     return Diagram(
         f"{one.name.replace('_', ' ')}, {words}",
         f"{words} [{signal.unit}]",
-        _diagram_signal(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
+        _diagram_signal(what, "velocity" if damper else "deflection", ending, signal.unit, "positive in extension"),
         _diagram_signal(
-            what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"
+            what,
+            "force",
+            ending,
+            "N",
+            "with its actuator's, positive in contraction" if damper else "positive in contraction",
         ),
         lambda response: response[signal.name],
         force,
@@ -129,8 +134,8 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
     return Diagram(
         f"adjustable damper{place}",
         f"{'suspension' if one.ratio == 1 else 'damper'} velocity{place} [m/s]",
-        _diagram_signal("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
-        _diagram_signal("damper", "force", one.ending, "N", "all that it pulls together with"),
+        _diagram_signal("damper", "velocity", one.ending, "m/s", "positive in extension"),
+        _diagram_signal("damper", "force", one.ending, "N", "total force, positive in contraction"),
         lambda response: (
             np.stack([response[name] for name in model.states], axis=-1)
             @ row
@@ -146,7 +151,7 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
 
 
 def _suspension_suffix(deflection: str) -> str:
-    """Returns the part of a suspension's signal names that distinguishes it from others."""
+    """Returns the part of a suspension's signal names that distinguishes the suspension from others."""
     return deflection.removeprefix(PREFIX) if deflection.startswith(PREFIX) else f"_{deflection}"
 
 
@@ -156,5 +161,5 @@ def _diagram_signal(what: str, quantity: str, ending: str, unit: str, meaning: s
 
 
 def _line(what: str, ending: str, label: str, dash: Dash, width: float, force: Callable[[Array], Array]) -> Line:
-    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at what was reached")
+    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at the actual motion")
     return Line(signal, label, dash, width, force)

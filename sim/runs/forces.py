@@ -1,4 +1,4 @@
-"""Forces of a run over time: of loads on the body, and requested by a law in Python, as attached to a log."""
+"""Forces of a run over time that are attached to a log: loads on the body, and forces that a Python control law requested."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ from sim.drive.response import Response
 
 
 def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
-    """Returns the loads: their sum in each direction, then each one if there are several; None for a road without loads.
+    """Returns the loads over time: their sum in each direction and, if there are several loads, each load; None without loads.
 
-    They are held over a step at their value midway through it, as they act.
+    The loads are held over each step at their value midway through the step, as in the simulation.
     """
     if not isinstance(road, RoadWithLoads):
         return None
@@ -39,26 +39,26 @@ def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None
 
 
 def _load_names(loads: Sequence[Load]) -> list[str]:
-    """Returns a name for each load: its kind, with a number if there are several of that kind."""
+    """Returns a name for each load: its type, with a number if there are several loads of this type."""
     kinds = [load.text.partition(":")[0] if load.label == load.text else "file" for load in loads]
     counted = [f"{kind}_{kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]
 
 
-LONGEST = 26  # characters of a number and its separator
+LONGEST = 26  # largest number of characters of a number with its separator
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:
-    """Returns forces [N] of these names, shape (T, m), as text."""
+    """Returns forces [N], shape (T, m), as text with their names as heading."""
     rows = (",".join(map(repr, row)) for row in forces.tolist())
     return "\n".join([",".join(names), *rows, ""]).encode()
 
 
 def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
-    """Returns the forces [N] of a text, shape (T, m).
+    """Reads forces [N], shape (T, m), from a text.
 
     Raises:
-        InputError: the text has other forces, or another number of samples.
+        InputError: the text contains other forces, or another number of samples.
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:

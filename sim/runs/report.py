@@ -1,6 +1,7 @@
-"""Runs as documents, as objects for `--json`, and the events of their logs.
+"""Reports on runs: documents, objects for `--json`, and the events of their logs.
 
-`describe_run` words the verdict on a run and its reasons. Commands, reports, logs and inspections print these statements.
+`describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
+sentences.
 """
 
 import math
@@ -59,24 +60,24 @@ if TYPE_CHECKING:
 
 INVALID_EQUATIONS = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
-FEW = 3  # controllers with statements of their own; from more on, the answer would not fit a terminal
+FEW = 3  # number of controllers that get separate statements; with more, the output would not fit into a terminal
 NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
 LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
 ENERGY: tuple[Field[Energy], ...] = (
     *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
-    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]"),
-    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="left over"),
+    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="exchanged [J]"),
+    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="residual"),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
-FAR_OFF = 100.0  # peaks: a larger error of a linearisation is that of an unstable loop
-HALF = 0.5  # of the requested force: if dampers miss more, linear analysis says little about the run
+FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop
+HALF = 0.5  # share of the requested force; if dampers miss more, linear analysis does not describe the run
 COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 OF_CODE = Field[str]("difference", str, ".2g")
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
 SIZE = Field[float]("size", float, ".5g")  # of a signal
-SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
+SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # peak and rms of a signal of a run
     Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form, key=name.lower())
     for what in ("peak", "rms")
     for name, source in {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}.items()
@@ -86,16 +87,16 @@ SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
 BALANCE = Record[Energy](
     lambda one: {key: value for key, value in asdict(one).items() if key not in ("least", "loads") or value is not None},
     balances=lambda one: one.balances if one.judged else None,
-)  # of energy [J]; its residual is a share of `turnover`
+)  # energy balance [J]; the residual is a share of `turnover`
 
 
 def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
-    """Returns one of the two local checks as a value of a record, None if it is not made."""
+    """Returns a function that returns one of the two local checks for JSON, or None if the check is not made."""
     return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
 
 
 def _worst_line(run: RunResult) -> dict[str, Any] | None:
-    """Returns the largest error of the linearisation at equilibrium for JSON, or None if nothing is compared."""
+    """Returns the largest error of the linearisation at equilibrium for JSON; None if nothing is compared."""
     if not (errors := run.line_errors):
         return None
     worst = max(errors, key=errors.__getitem__)
@@ -103,20 +104,20 @@ def _worst_line(run: RunResult) -> dict[str, Any] | None:
 
 
 def _shortfall(run: RunResult) -> dict[str, Any]:
-    """Returns the force that semi-active dampers did not give, for JSON; empty without such dampers."""
+    """Returns the force that semi-active dampers did not supply for JSON; empty without such dampers."""
     if not run.vehicle.dampers:
         return {}
     return {"shortfall": FEATURES.load("forces that dampers lack").shortfalls(run.vehicle, run.physics)}
 
 
 def _decay(run: RunResult) -> dict[str, Any]:
-    """Returns the modes of a free decay for JSON; empty without a given start."""
+    """Returns the modes of a free decay for JSON; empty if the run does not start from a given state."""
     if not run.vehicle.start:
         return {}
     return FEATURES.load("decay").record(run)
 
 
-HALF_STEP = Record("difference", "signal")  # change by half the step after a lift-off
+HALF_STEP = Record("difference", "signal")  # change of the response at half the time step after a lift-off
 SIGNAL = Record[tuple[RunResult, str]](
     unit=lambda of: of[0].vehicle.kind.signal(of[1]).unit,
     peak=Record(*SIZES[:3]),
@@ -130,14 +131,14 @@ SIGNAL = Record[tuple[RunResult, str]](
 
 
 def controller_record(controller: AnyController) -> dict[str, Any]:
-    """Returns a controller for JSON; the linear claims of a law in Python are None."""
+    """Returns a controller for JSON. Linear results of a Python control law are None."""
     if controller.linear is False:
         return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
     claims = Record(BOUND, NORM, PEAK, stability=lambda one: one.stability.verdict)
     return {**controller.record, **claims(controller.certificate), **GROWTH(controller)}
 
 
-RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infinite values are None
+RUN = np.errstate(over="ignore")(  # the squares of an unstable loop's signals overflow; infinite values become None
     Record[RunResult](
         Record(
             controller=lambda run: controller_record(run.controller),
@@ -166,7 +167,7 @@ RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infini
 
 
 def line_words(run: RunResult) -> str:
-    """Returns how far the linearisation at equilibrium is off; empty for a vehicle without characteristics."""
+    """Returns the error of the linearisation at equilibrium as text; empty for a vehicle without characteristics."""
     if not (errors := run.line_errors):
         return ""
     off = max(errors.values())
@@ -174,7 +175,7 @@ def line_words(run: RunResult) -> str:
 
 
 def energy_table(runs: Sequence[RunResult], where: str) -> Table:
-    """Returns the table of every run's energy balance."""
+    """Returns the table of the energy balances of all runs."""
     known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
     fields = (name, *(field.of(get) for field in ENERGY))
@@ -182,7 +183,7 @@ def energy_table(runs: Sequence[RunResult], where: str) -> Table:
 
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
-    """Returns the law of a controller, its claims, and remarks on it, a sentence each."""
+    """Returns the control law of a controller, its norm and bound, and remarks, one sentence each."""
     if controller.linear is False:
         forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
         forced = [one + "; sampled has the characteristics, too" * vehicle.parts.nonlinear for one in forced]
@@ -204,7 +205,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 
 
 def claims(controller: AnyController) -> str:
-    """Returns norm and bound of a controller, or the reason for which it has none."""
+    """Returns the norm and the bound of a controller as text, or the reason why there are none."""
     if controller.linear is False:
         return f"linear analysis does not apply ({controller.kind})"
     certificate = controller.certificate
@@ -218,7 +219,7 @@ def claims(controller: AnyController) -> str:
 
 
 def verdict(run: RunResult) -> Statement:
-    """Returns the verdict on a run: its checks, the range of linear analysis, and its energy balance, in a few words."""
+    """Returns a short verdict on a run: its checks, the range of linear analysis, and its energy balance."""
     agreement, energy, words = run.agreement, run.energy, list[str]()
     steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
     if run.physics.law_diverged and not run.passed:
@@ -257,7 +258,7 @@ def verdict(run: RunResult) -> Statement:
 
 
 def _when(run: RunResult) -> str:
-    """Returns the time until which linear analysis applies, and what ends it."""
+    """Returns the time until which linear analysis applies, and the event that ends it, as text."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
         return "over the whole run"
@@ -275,16 +276,16 @@ def _when(run: RunResult) -> str:
 
 
 def verdicts(runs: Iterable[RunResult], where: str = "") -> tuple[Statement, ...]:
-    """Returns the verdicts on runs, after a text on where they were; runs with the same verdict share a statement."""
+    """Returns the verdicts on runs, preceded by the text `where`. Runs with the same verdict share a statement."""
     return share_statements(((run.controller.name, verdict(run)) for run in runs), where)
 
 
 def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> tuple[Statement, ...]:
-    """Returns statements about several controllers; those with the same words share one, with the span of many times.
+    """Returns statements about several controllers. Equal statements are merged; if their times differ, the range is given.
 
     Args:
-        said: names of controllers, each with a statement.
-        where: text before each of them.
+        said: pairs of a controller's name and a statement.
+        where: text before each statement.
     """
     pairs, alike = list(said), dict[Statement, list[tuple[str, list[str]]]]()
     few = len({name for name, _ in pairs}) <= FEW
@@ -303,7 +304,7 @@ def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> 
 
 
 def joined_names(names: Sequence[str]) -> str:
-    """Returns the names of runs in a statement; those of several vehicles, `VEHICLE:CONTROLLER`, by vehicle."""
+    """Returns the names of runs for a statement. Names of several vehicles, `VEHICLE:CONTROLLER`, are grouped by vehicle."""
     by_vehicle: dict[str, list[str]] = {}
     for name in names:
         vehicle, _, controller = name.rpartition(":")
@@ -312,12 +313,12 @@ def joined_names(names: Sequence[str]) -> str:
 
 
 def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
-    """Returns the events of a run, its checks, its distance from linear analysis, and its energy balance, a sentence each.
+    """Returns sentences on the events of a run, its checks, its distance from linear analysis, and its energy balance.
 
-    Those of a run that passes, and stays in its range, are details.
+    The sentences on a run that passes and remains in the linear range are details.
 
     Args:
-        full: False to leave details out, which need the linear responses.
+        full: False to omit details, which need the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
     contact = FEATURES.load("stops that a run reaches").stop_note(run) if run.vehicle.parts.strokes else ""
@@ -325,14 +326,14 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     if not full and detail == "full":
         return stops
     said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
-    if not run.physics.law_diverged or run.passed:  # else rounding decides the forces of the law
+    if not run.physics.law_diverged or run.passed:  # otherwise, rounding determines the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
     return (*stops, *(replace(one, detail=detail) for one in said))
 
 
 def _events(run: RunResult) -> Iterator[str]:
-    """Yields sentences on what happens in a run: instability, lift-offs, limits."""
+    """Yields sentences on the events of a run: instability, lift-off, and limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.end_times, run.prediction.radius, run.vehicle
     if radius > 1:
         how = ", by direct feedback of its own force" if law_margins(vehicle, run.controller).own_force else ""
@@ -372,14 +373,14 @@ def _events(run: RunResult) -> Iterator[str]:
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
-    """Returns how often tyres leave the ground, the first such interval, and the longest time."""
+    """Returns a sentence on how often tyres leave the ground, with the first interval and the longest duration."""
     (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
     often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
     return f"lift-off: a tyre leaves the ground {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:
-    """Yields a sentence on each of the two checks: steps against equations, and commands against the control law."""
+    """Yields a sentence on each of the two checks: steps compared with equations, and commands compared with the control law."""
     steps, commands, code = run.agreement.steps, run.agreement.commands, run.agreement.code_effect
     if steps is None:
         small = any(signal.small is not None for signal in run.agreement.signals.values())
@@ -407,7 +408,7 @@ def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
 
 
 def _distance(run: RunResult) -> Iterator[Statement]:
-    """Yields sentences on the distance from linear analysis, and its cause."""
+    """Yields sentences on the distance from linear analysis and its cause."""
     agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
         yield Statement(f"{NO_REFERENCE}: a law that sets semi-active dampers is not linear, even at small amplitudes")
@@ -426,7 +427,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
     if wrong:
         size, own = f"{size} of a peak{small} ({worst})", DIFFERENCE.digits(signal.allowed)
-        if agreement.follows_linear:  # the checks of steps and commands decide
+        if agreement.follows_linear:  # the checks of steps and commands determine the verdict
             yield Statement(f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding make {own}")
         else:
             wrong_by = f"the largest difference is {size}, {own} is allowed"
@@ -449,7 +450,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
 
 
 def _balance(run: RunResult) -> Iterator[Statement]:
-    """Yields a sentence on the energy balance of a run, if it is known."""
+    """Yields a sentence on the energy balance of a run if it is known."""
     energy = run.energy
     if energy is None:
         return
@@ -469,12 +470,12 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
-@np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are "-"
+@np.errstate(over="ignore")  # the squares of an unstable loop's signals overflow; infinite values are shown as "-"
 def describe_run(run: RunResult, passive: Response | None = None) -> Document:
-    """Returns a run as a document: its verdict, its controller's claims, its signals, and the reasons of the verdict.
+    """Describes a run as a document: verdict, norm and bound of the controller, signals, and the reasons for the verdict.
 
     Args:
-        passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
+        passive: MuJoCo's response of the passive vehicle, with which the signals are compared; None for no comparison.
     """
     code, until = run.agreement.code_effect, run.agreement.until
     ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
@@ -489,7 +490,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
 
 
 def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
-    """Returns the verdict on a run, its controller's claims, its free decay, and the reasons of the verdict; see `reasons`."""
+    """Returns sentences on the verdict, the controller, its free decay, and the reasons for the verdict; see `reasons`."""
     controller, code = run.controller, run.agreement.code_effect
     margins = law_margins(run.vehicle, controller)
     warning = margins.instability or margins.own_force or margins.small
@@ -508,7 +509,7 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
 
 
 def _decay_words(run: RunResult) -> list[str]:
-    """Returns a sentence on the free decay of a run from a given start; empty without one."""
+    """Returns a sentence on the free decay of a run from a given start; empty if there is no given start."""
     if not run.vehicle.start:
         return []
 
@@ -516,15 +517,13 @@ def _decay_words(run: RunResult) -> list[str]:
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
-    """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
+    """Returns the table of peak and rms of all signals, their differences from linear analysis, and changes from passive."""
     rows, on = [], run.prediction.input
-    still = (
-        not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start
-    )  # all that moves on a flat road is rounding
+    still = not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start  # on a flat road, all motion is rounding
     for name, signal in run.agreement.signals.items():
         was = None if still else passive
         if was is not None and was.peak(name) < was.scale(name):
-            was = None  # a signal that symmetry keeps at zero is rounding
+            was = None  # a signal that symmetry keeps at zero contains only rounding errors
         for kind, sizes in (("peak", SIZES[:3]), ("rms", SIZES[3:])):
             numbers = ["-" if math.isfinite(run.diverged) else field.cell((run, name)) for field in sizes]
             apart = [DIFFERENCE.digits(one) if kind == "peak" else "" for one in (signal.sampled, signal.continuous)]
@@ -538,7 +537,7 @@ def signal_table(run: RunResult, passive: Response | None = None) -> Table:
 
 
 def _damper_notes(run: RunResult) -> list[Statement]:
-    """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
+    """Returns sentences on the force that semi-active dampers did not supply, and its consequence for linear analysis."""
     shortfalls = FEATURES.load("forces that dampers lack").shortfalls
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
@@ -566,7 +565,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
 
 
 def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
-    """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
+    """Returns a sentence on exported code and its distance from the control law; an empty list without exported code."""
     if effect is None:
         return []
     line = f"the controller runs as compiled code in {effect.numbers}"
@@ -583,7 +582,7 @@ def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
 
 
 def code_table(effect: "CodeEffect", vehicle: Vehicle) -> Table:
-    """Returns the difference of every signal from the run with the law itself."""
+    """Returns the table of differences of all signals from the run with the law itself."""
     fields = (
         Field[str]("signal", lambda name: name.replace("_", " ")),
         Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),
@@ -595,7 +594,7 @@ def code_table(effect: "CodeEffect", vehicle: Vehicle) -> Table:
 
 
 def events(run: RunResult) -> tuple[tuple[float, str], ...]:
-    """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, by time [s]."""
+    """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, with their times [s]."""
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
@@ -606,6 +605,6 @@ def events(run: RunResult) -> tuple[tuple[float, str], ...]:
 
 
 def run_statements(runs: Sequence[RunResult], where: str) -> tuple[Statement, ...]:
-    """Returns the verdicts on runs, after a text on where they were, and the reasons of each."""
+    """Returns the verdicts on runs, preceded by the text `where`, followed by the reasons for each verdict."""
     said = [(run.controller.name, one) for run in runs for one in reasons(run)]
     return (*verdicts(runs, where), *(replace(one, detail="full") for one in share_statements(said)))

@@ -1,4 +1,4 @@
-"""Runs of some controllers of one vehicle over one road: physics, linear predictions and verdicts."""
+"""Runs of several controllers of one vehicle over one road: simulation, linear predictions and verdicts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
     from sim.drive.driver import RunDriver
     from sim.runs.code_effect import CodeEffect
 
-RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
-MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
-STIFF = 1e-4  # s: no vehicle in SI units needs a shorter step
+RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step; the exact value is 2.785
+MOST_SAMPLES = 1_000_000  # largest number of samples; a run with this number takes 0.4 GB and half a minute
+STIFF = 1e-4  # s; no vehicle in SI units needs a shorter time step
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(RunResult, ShownResult):
-    """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
+    """Simulated run with its prediction, which can be displayed at a prompt and in a notebook. Attributes as for `RunResult`."""
 
     @property
     def summary(self) -> Document:
-        """Returns the verdict, and the vehicle, road and times as text."""
+        """Document with the verdict, the vehicle, the road and the times."""
         rows = {
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
@@ -56,7 +56,7 @@ class Run(RunResult, ShownResult):
 
     @property
     def figures(self) -> tuple[Block, ...]:
-        """The sizes of all signals, and the first weighted one over time."""
+        """Table of the peak and rms of all signals, and a plot of the first weighted signal over time."""
         from models.document.figure import BLUE, Figure, Style
 
         panels = FEATURES.load("time histories").history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
@@ -68,12 +68,16 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     """Returns the sample times 0, h, 2 h, ... up to the duration [s].
 
     Args:
-        vehicle: the vehicle, on which RK4 has to be stable.
+        vehicle: vehicle for which RK4 must be stable.
         duration: duration of the run [s].
-        timestep: h [s].
+        timestep: time step h [s].
+
+    Returns:
+        The sample times [s], shape (T,).
 
     Raises:
-        InputError: a timestep or duration that is not positive, too large for RK4 on this vehicle, or far too many samples.
+        InputError: a time step or a duration is not positive, the time step is too large for RK4 with this vehicle, or there
+            are too many samples.
 
     Example:
         >>> from models import read_vehicle
@@ -115,15 +119,15 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows, which its run records
 def run_controllers(
     vehicle: Vehicle, controllers: Sequence[AnyController], road: Road, time: Array, balanced: bool = True
 ) -> list[Run]:
-    """Runs every controller over the road, from rest, and compares.
+    """Simulates each controller over a road from equilibrium, and compares the responses with linear analysis.
 
     Args:
         time: equidistant sample times from 0 [s], see `sample_times`.
-        balanced: False leaves out positions, energy and the change by half the step.
+        balanced: False to omit positions, energy, and the comparison with half the time step.
     """
     recordings = record([Case(vehicle.with_actuators_of(one.name), one, road) for one in controllers], time)
     each = zip(controllers, recordings, strict=True)
@@ -132,7 +136,12 @@ def run_controllers(
 
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
-    """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
+    """Returns MuJoCo's response of the passive vehicle from one of the runs, or from a new run.
+
+    Args:
+        runs: runs over one road.
+        design: function that returns the passive controller from its name.
+    """
     made, on = next((run.physics for run in runs if run.controller.name == PASSIVE), None), runs[0].prediction.input
     if made is not None:
         return made
@@ -141,14 +150,15 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
 
 
 def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> list[Run]:
-    """Returns the verdicts on some runs.
+    """Returns the verdicts on runs.
 
-    A run with exported code is also compared with the run of the law itself, and one of a vehicle type that rotates without
-    equations of motion with a run at a share of its road's height. These runs are made here.
+    A run with exported code is also compared with the run of the law itself. A run of a vehicle type that rotates but has no
+    equations of motion is also compared with a run at a share of the road height. This function simulates these additional
+    runs.
 
     Args:
         predictions: predictions over the same sample times, for vehicles of the same type.
-        recordings: the runs.
+        recordings: recordings of the runs.
     """
     effects = _code_effects(predictions, recordings)
     pairs = enumerate(zip(predictions, recordings, strict=True))
@@ -171,7 +181,7 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
 
 
 def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> "dict[int, CodeEffect]":
-    """Returns the effects of exported code on the runs that it drives, by their index; laws themselves drive other runs here."""
+    """Returns the effects of exported code on the runs with exported code, by index of the run."""
     coded = [i for i, one in enumerate(predictions) if one.controller.code is not None]
     if not coded:
         return {}
@@ -187,13 +197,14 @@ def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Record
 
 
 def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:
-    """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
+    """Adds positions, the energy balance, and the change at half the time step after a lift-off to runs.
 
-    A run that leaves more energy over than is usual is driven at half the step, too. A noisy run then repeats its commands.
+    A run with an unusually large residual of its energy is also repeated at half the time step. A noisy run then repeats its
+    commands.
 
     Args:
         runs: runs over the same sample times, with vehicles of the same type.
-        recordings: the same runs with their states.
+        recordings: recordings of the same runs.
     """
     energy: Callable[..., Energy | None] = OBSERVERS.load_if_known("energy") or (lambda run, until: None)
     runs = [
@@ -219,10 +230,10 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
 def _simulate_predictions(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> list[Recording]:
-    """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
+    """Simulates the runs of predictions, if requested with changed vehicles and a share of the road height.
 
-    Vehicles and roads that runs share remain shared. The commands of a law in Python, or of a noisy run, are replayed. Over a
-    share of the road, that share of the forces is replayed.
+    Vehicles and roads that runs share remain shared. The commands of a Python control law, or of a noisy run, are repeated.
+    With a share of the road height, the same share of the forces is repeated.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -236,11 +247,11 @@ def _simulate_predictions(
 
 
 def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
-    """Returns the driver that repeats a run: its law, or its commands if a noisy law would answer differently at another step.
+    """Returns the driver that repeats a run: its law, or its commands if the law would respond differently at another time step.
 
     Args:
-        time: sample times of the repeated run [s], whose timestep divides that of the prediction.
-        share: factor on the forces of a law in Python.
+        time: sample times of the repeated run [s]. The time step divides that of the prediction.
+        share: factor for the forces of a Python control law.
     """
     if not prediction.controller.user_code and (share != 1 or not prediction.varies):
         return prediction.controller
@@ -253,13 +264,13 @@ def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "R
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:
-    """Returns the vehicle with its sample period at a timestep made explicit, to be run at another timestep."""
+    """Returns the vehicle with an explicit sample period, so that it can be simulated at another time step."""
     period = vehicle.implementation.sample_period or timestep
     return replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
 
 
 def _half_step(run: Run, finer: Response) -> HalfStep:
-    """Returns the comparison of a run's physics with that at half the timestep, from its first lift-off on."""
+    """Compares a simulated run with the same run at half the time step, from its first lift-off on."""
     lifted = run.physics.time >= run.agreement.lift_off[0][0]
     apart = {
         name: float(np.abs(run.physics[name] - finer[name][::2])[lifted].max()) / (run.physics.scale(name) or 1.0)

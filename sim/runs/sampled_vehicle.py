@@ -1,4 +1,4 @@
-"""A vehicle with other values of its parameters, of the numbers of its adjustable dampers and of its force elements."""
+"""Vehicle with other values of its parameters, of its semi-active dampers and of its force elements."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,14 +8,17 @@ from models.characteristics.adjustable_range import CURVE_KEYS
 from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 
-OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # of [actuators], which are sampled, too
+OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators] that are varied, too
 
 
 def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
-    """Maps each sampled damper parameter to its value and forces: an entry per damper with a number, and one for all if equal."""
+    """Returns the value and the forces of each varied damper parameter by name.
+
+    There is one entry per damper with a number, and one for all dampers if their values are equal.
+    """
     quantities: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
-        # A limit that is a curve is no number.
+        # A limit that is a characteristic is not a number.
         own = [one for one in vehicle.parts.adjustable if one.damper.replaces]
         curved = {one for one in own if name in CURVE_KEYS and one.damper.pair is not None}
         values: dict[SettablePart, Any] = {one: None if one in curved else getattr(one.damper, name) for one in own}
@@ -26,7 +29,7 @@ def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
 
 
 def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other values of parameters, adjustable dampers and force elements, by name [SI]."""
+    """Returns a vehicle with other values of parameters, semi-active dampers and force elements, by name [SI]."""
     if not sample:
         return vehicle
     known, dampers = damper_numbers(vehicle), dict(vehicle.dampers)

@@ -1,4 +1,4 @@
-"""Signals of runs over time as one CSV table: time first, then a column for each signal, run and source of the numbers."""
+"""Signals of runs over time as a CSV table: the time, followed by a column for each signal, run and source."""
 
 import itertools
 import math
@@ -10,15 +10,15 @@ from models.document.reading import write_rows
 from sim.drive.response import Response
 from sim.runs.result import RunResult
 
-Column = tuple[str, Array]  # heading and values over time
+Column = tuple[str, Array]  # heading, and values over time
 
 
 def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column]:
-    """Yields the columns of a run, headed `SIGNAL NAME SOURCE [UNIT]`, signal by signal.
+    """Yields the columns of a run with the headings `SIGNAL NAME SOURCE [UNIT]`, signal by signal.
 
     Args:
-        name: name of the run, usually its controller's.
-        responses: responses by source, as in "mujoco", over the same samples from 0.
+        name: name of the run, usually that of its controller.
+        responses: responses by source, for example "mujoco", with the same samples from 0.
     """
     for signal in dict.fromkeys(signal for response in responses.values() for signal in response.signals):
         for source, response in responses.items():
@@ -27,16 +27,16 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
 
 
 def write_runs(path: Path, runs: Sequence[RunResult]) -> None:
-    """Writes MuJoCo's signals and those of the exact sampled response of runs over one road; errors as `write_columns`."""
+    """Writes the simulated and the exact sampled signals of runs over one road. Errors as for `write_columns`."""
     each = (run_columns(run.controller.name, {"mujoco": run.physics, "sampled": run.sampled}) for run in runs)
     write_columns(path, runs[0].prediction.time, list(itertools.chain(*each)))
 
 
 def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
-    """Writes columns over time; cells without a finite number, and those after the end of a column, are empty.
+    """Writes columns over time. Cells without a finite number, and cells after the end of a column, are empty.
 
     Args:
-        path: the file; it gets its name when it is whole.
+        path: path of the file. The file gets this name after it is complete.
         time: times of the longest column [s].
 
     Raises:

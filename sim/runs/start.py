@@ -1,8 +1,10 @@
-"""Effect of the unknown road before a measured one on the peaks of a run.
+"""Effect of the unknown road before a measured road on the peaks of a run.
 
-A vehicle starts in steady motion on the plane of the first 11 m. In truth it comes from a road that was not measured. As rough as
-that may be, the measured road is itself: turned about its first point it leads there without a jump or a kink. The state in which
-a vehicle without control arrives from it, less the steady motion, dies away with the run's loop. It counts as long as it lasts.
+A vehicle starts in steady motion on the plane of the first 11 m of the road. In reality, it comes from a road that was not
+measured. This road may be as rough as the measured road itself. The model of the unknown road is the measured road, turned
+about its first point, so that the two roads meet without a jump or a kink. The vehicle without control arrives from this road
+in a certain state. The difference of this state from the steady motion decays in the run's loop, and affects the run while it
+lasts.
 """
 
 from collections.abc import Sequence
@@ -18,15 +20,15 @@ from sim.linear.rounding import roundings
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
-RUN_IN = 10.0  # s, of the turned road at most
-SAID_SHARE = 0.02  # of a peak
-ROUNDING_FACTOR = 1e3  # times the effect of rounding on a state or a signal: less is none
+RUN_IN = 10.0  # s; longest duration on the turned road
+SAID_SHARE = 0.02  # share of a peak above which the effect is reported
+ROUNDING_FACTOR = 1e3  # multiple of the rounding error of a state or a signal; a smaller effect counts as zero
 
 
 def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
-    """Returns the largest effect of the start on a peak of a weighted signal, as a share of the peak, and that peak in words.
+    """Returns the largest effect of the start on a peak of a weighted signal, as a share of the peak, and this peak as text.
 
-    None if it does not exceed 2 %.
+    Returns None if the effect is at most 2 %.
     """
     felt, vehicle = runs[0].prediction.input.relative_road, runs[0].vehicle
     road = felt.road if isinstance(felt, Departure) else None
@@ -55,17 +57,17 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
             if (peak := float(physics.peak(signal))) > ROUNDING_FACTOR * least[
                 signal
-            ]:  # else it is rounding, as in a motionless run
+            ]:  # otherwise the peak is a rounding error, as in a run without motion
                 effects.append((left / peak, f"the peak of {run.controller.name}'s {signal} at {WHEN.text(k * h)}"))
     worst = max(effects)
     return worst if worst[0] > SAID_SHARE else None
 
 
 def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
-    """Returns a remark on the effect of the start on a peak, if it exceeds 2 %.
+    """Returns a remark on the effect of the start on a peak if it exceeds 2 %.
 
     Args:
-        later: True if the runs start later than the file does, so that they can start earlier.
+        later: True if the runs start after the beginning of the file, so that they could start earlier.
     """
     effect = start_effect(runs)
     if effect is None:

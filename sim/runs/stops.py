@@ -1,4 +1,4 @@
-"""Bump stops that a run reaches: compression, force and time of each."""
+"""Bump stops that a run reaches: compression, force and time of each contact."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ class Touch:
 
     Attributes:
         side: side of the stop, one of `SIDES`.
-        squeeze: travel beyond the stroke [m].
+        squeeze: travel beyond the stroke, which compresses the stop [m].
         force: force of the stop [N].
-        time: time of that sample [s].
+        time: time of the deepest contact [s].
     """
 
     side: str
@@ -39,7 +39,10 @@ TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s
 
 
 def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
-    """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
+    """Returns the deepest simulated contact with every stop, by deflection and side; None without contact.
+
+    Only the part of a run before it becomes invalid counts.
+    """
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
     for name, strokes in run.vehicle.parts.strokes.items():
@@ -62,11 +65,11 @@ def _is_stop(part: Part) -> bool:
     return any(limit.end == BUMP_STOP.name for limit in part.limits())
 
 
-STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)  # of a run: squeeze [m], force [N] and time [s] of every stop, or None
+STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)  # compression [m], force [N] and time [s] of every stop in a run, or None
 
 
 def stop_note(run: RunResult) -> str:
-    """Returns a sentence on the hardest contact of a run with the stops of each side; empty without a contact."""
+    """Returns a sentence on the hardest contact of a run with the stops on each side; empty without a contact."""
     corners, reached, words = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}, touches(run), []
     for side in SIDES:
         contacts = [(touch, corners[name]) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
@@ -78,7 +81,7 @@ def stop_note(run: RunResult) -> str:
 
 
 def stop_names(run: RunResult, when: float) -> str:
-    """Returns the names of the stops at which suspensions are at a time [s]: bump stop, rebound stop, or both."""
+    """Returns the names of the stops that suspensions reach at a time [s]: bump stop, rebound stop, or both."""
     k = int(np.searchsorted(run.physics.time, when))
     at = [
         limit.sign for limit in BUMP_STOP.thresholds(run.vehicle) if limit.towards(limit.of(run.physics))[k] >= AT * limit.value

@@ -1,4 +1,4 @@
-"""Signals of runs over time, drawn: lines of analysis with MuJoCo's points, and MuJoCo's own lines where the two part."""
+"""Plots of signals over time: lines for analysis with points for MuJoCo, and lines for MuJoCo after the linear regime."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,23 +15,24 @@ from sim.observers.results import WHEN
 from sim.runs.report import SIZE
 from sim.runs.result import RunResult
 
-POINTS = 24  # of MuJoCo
-OF_LINE = 600  # points of a line
-NAMED_RUNS = 2  # runs that leave an axis, in its title
-LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # widths [points]; `FAINT` is a share
-MOST_SWINGS = 80  # of a line that can be followed; a run with more has panels of its hardest stretch, too
+POINTS = 24  # number of points for MuJoCo
+OF_LINE = 600  # number of points of a line
+NAMED_RUNS = 2  # number of runs that leave the axis and are named in the title
+LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # line widths [points]; `FAINT` is relative
+# number of oscillations of a line that remains readable; a run with more gets additional panels of its hardest part
+MOST_SWINGS = 80
 
 
 @dataclass(frozen=True, eq=False)
 class _Trace:
-    """One signal of one run over a stretch of time.
+    """One signal of one run over a part of the time.
 
     Attributes:
         run: the run.
         name: name of the signal.
-        bounded: True if its motion stays a vehicle's.
-        line: linear response, until the end of the linear regime where the run is not bounded.
-        physics: MuJoCo's response until the run broke off.
+        bounded: True if the run remains valid and its loop is not unstable.
+        line: linear response; up to the end of the linear regime if the run is not bounded.
+        physics: simulated response until the run becomes invalid.
     """
 
     run: RunResult
@@ -47,20 +48,21 @@ class _Trace:
 
     @property
     def values(self) -> Array:
-        """Values that the axis should hold: without bound, those up to the end of the linear regime."""
+        """Values that the axis must contain. If the run is not bounded, the values end with the linear regime."""
         physics = self.physics if self.bounded else self.physics.until(self.until)
         return np.concatenate([self.line[self.name], physics[self.name]])
 
     def left(self, low: float, high: float) -> float:
-        """Returns the time at which MuJoCo first leaves the axis from `low` to `high` [s], or infinity."""
+        """Returns the time at which the simulated signal first leaves the axis from `low` to `high` [s], or infinity."""
         values = self.physics[self.name]
         outside = ~((low <= values) & (values <= high))
         return float(self.physics.time[outside.argmax()]) if outside.any() else math.inf
 
     def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
-        """Returns its lines and its points, about one of `every` samples, up to and with that at which it leaves the axis.
+        """Returns the lines and the points, about one per `every` samples, until the signal leaves the axis.
 
-        The line is the linear response until its regime ends, and MuJoCo from there on; the linear response goes on thinly.
+        The line shows the linear response until the linear regime ends, and the simulation from then on. The linear response
+        continues as a thin line.
         """
         who, curves = self.run.controller.name, []
         line, physics = (response.until(np.nextafter(left, math.inf)) for response in (self.line, self.physics))
@@ -84,13 +86,13 @@ class _Trace:
 
 
 def _line(time: Array, values: Array, style: Style, width: float, label: str, name: str) -> Curve:
-    """Returns a line of at most about `OF_LINE` points, with all its peaks."""
+    """Returns a line with about `OF_LINE` points at most, which contains all peaks."""
     some = drawn_indices(values, -(-len(time) // OF_LINE))
     return Curve(time[some], values[some], label, style.color, style.dash, width=width, name=name)
 
 
 def _marker_indices(values: Array, every: int) -> Array:
-    """Returns the indices of samples to mark: every so many, but at a peak where one is near, and both extremes."""
+    """Returns the indices of samples to mark: one per `every` samples, moved to a peak if one is near, and both extremes."""
     if not len(values):
         return np.zeros(0, dtype=int)
     marked = [int(values.argmax()), int(values.argmin())]
@@ -110,13 +112,13 @@ def history_panels(
 ) -> list[Panel]:
     """Returns a panel for each weighted or measured signal that moves.
 
-    An unstable run, and one that broke off, does not widen the axis. Such a run is drawn until it leaves the axis, which the
-    title shows.
+    An unstable run, or a run that becomes invalid, does not enlarge the axis. Such a run is drawn until its signal leaves the
+    axis, and the title gives this time.
 
     Args:
         runs: runs over one road.
-        looks: styles of the controllers, by name.
-        during: stretch of time that is drawn [s]; None for all.
+        looks: styles of the controllers by name.
+        during: part of the time that is drawn [s]; None for the whole time.
         measured: measured signals over the time of the runs, if any.
     """
     panels = []
@@ -151,19 +153,19 @@ def history_panels(
 
 
 def _end(runs: Sequence[RunResult]) -> float:
-    """Returns the end of the last run [s], where all broke off, or of the road."""
+    """Returns the end of the last run if all runs became invalid, otherwise the end of the road [s]."""
     whole = float(runs[0].prediction.time[-1])
     return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
 
 
 def _weighted_signals(runs: Sequence[RunResult]) -> dict[str, Signal]:
-    """Returns the signals that a vehicle of the runs weighs, by name."""
+    """Returns the signals that a vehicle of the runs weights, by name."""
     vehicles = [run.vehicle for run in runs]
     return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
 
 
 def _moves(run: RunResult, name: str) -> bool:
-    """Returns False if a vehicle lacks a signal, or if it is silent: no control force, or no roll on a symmetric road."""
+    """Returns False if the vehicle does not have the signal, or the signal is zero, as roll on a symmetrical road."""
     if not any(signal.name == name for signal in run.physics.signals):
         return False
     peak = float(run.physics.peak(name))
@@ -171,30 +173,31 @@ def _moves(run: RunResult, name: str) -> bool:
 
 
 def _trace(run: RunResult, name: str, start: float, end: float) -> _Trace:
-    """Returns what is drawn of one signal of one run between two times [s]."""
+    """Returns the data of one signal of one run between two times [s]."""
     line = run.sampled if _stays_bounded(run) else run.sampled.until(run.agreement.until)
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     return _Trace(run, name, _stays_bounded(run), *(_between(response, start, end) for response in (line, physics)))
 
 
 def _between(response: Response, start: float, end: float) -> Response:
-    """Returns the samples of one run between two times [s]."""
+    """Returns the samples of a response between two times [s]."""
     some = (response.time >= start) & (response.time <= end)
     return response if some.all() else response.samples(some)
 
 
 def _swings(values: Array) -> int:
-    """Returns how often a signal crosses its mean."""
+    """Returns the number of times that a signal crosses its mean."""
     return int(np.count_nonzero(np.diff(values > values.mean()))) if len(values) else 0
 
 
 def history_figure(runs: Sequence[RunResult], where: str, measured: Response | None = None) -> Figure | None:
-    """Returns the figure of runs over one road, lines of the sampled loop; None if nothing moves.
+    """Returns the figure of runs over one road, with lines for the sampled loop; None if nothing moves.
 
-    The panels of a long run, with lines too dense to distinguish, have those of its hardest stretch next to them.
+    In a long run, the lines are too dense to distinguish. The figure therefore also shows panels of the hardest part of the
+    run.
 
     Args:
-        where: the road in words, after "over".
+        where: text about the road, which follows "over".
         measured: measured signals over the time of the runs, if any.
     """
     looks = styles(tuple(run.controller.name for run in runs))
@@ -221,9 +224,9 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
 
 
 def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
-    """Returns the stretch of time [s] around the largest peak of the first weighed signal, or None of a run that needs none.
+    """Returns the part of the time around the largest peak of the first weighted signal [s]; None if the runs need no such part.
 
-    It has about `MOST_SWINGS` of the signal that swings most often.
+    This part contains about `MOST_SWINGS` oscillations of the signal that oscillates most often.
     """
     weighed = list(_weighted_signals(runs))
     bounded_runs = [run for run in runs if _stays_bounded(run)]
@@ -240,12 +243,12 @@ def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
 
 
 def _stays_bounded(run: RunResult) -> bool:
-    """Returns True if a run has not broken off and its loop is not known to be unstable."""
-    return run.broke_off is None and not run.prediction.radius >= 1  # NaN of a loop that is not linear
+    """Returns True if a run has not become invalid, and its loop is not known to be unstable."""
+    return run.broke_off is None and not run.prediction.radius >= 1  # NaN for a loop that is not linear
 
 
 def _least(runs: Sequence[RunResult]) -> str:
-    """Returns a sentence on the run with the lowest peak of the acceleration, or an empty one without a choice."""
+    """Returns a sentence on the run with the lowest peak acceleration; empty for a single run."""
     name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
     whole = [run for run in runs if name in {signal.name for signal in run.physics.signals} and run.broke_off is None]
     if len(whole) < 2:
@@ -258,9 +261,9 @@ def _least(runs: Sequence[RunResult]) -> str:
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:
-    """Returns the values that an axis has to hold: all bounded ones, and others up to three times as far.
+    """Returns the values that an axis must contain: all bounded values, and other values up to three times the same range.
 
-    Without bounded ones, those of the linear regime take their place.
+    If no run is bounded, the values of the linear regime are used instead.
     """
     within = [one.values for one in traces if one.bounded and len(one.values)]
     alone = not within

@@ -1,1 +1,1 @@
-"""A gain or a law for any plant: one file or folder for each method. It knows no vehicle."""
+"""Design of a gain or a law for any plant, with one file or folder per method; start with `feedback.py`."""

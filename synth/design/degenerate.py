@@ -1,12 +1,12 @@
-"""Regularised problems for plants whose problem (22) is degenerate: it has no optimum, or every gain is optimal.
+"""Regularised problems for plants whose problem (22) is degenerate, because it has no optimum or because every gain is optimal.
 
-- **w does not affect z**, or some gain decouples z from w: the norm 0 is reached, and eta has no bound. The regularised problem
-  has an additional disturbance of every state that z contains.
-- **No control force affects z**: the norm is the same for all gains. The regularised problem has an additional disturbance of
-  every state, and an additional weight on every state and every force.
+- **w does not affect z**, or some gain decouples z from w. The norm is then 0, and eta = norm^-2 has no upper bound. In the
+  regularised problem, additional disturbances act on every state that z contains.
+- **No control force affects z**. The norm is then the same for all gains. In the regularised problem, additional disturbances
+  act on every state, and z additionally contains every state and every force.
 
-The gain is certified for the given plant: an X that proves a bound with more disturbances and outputs also proves the bound with
-fewer. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
+The gain is certified for the given plant. An X that proves a bound with more disturbances and outputs also proves this bound
+with fewer. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ INSTEAD = "designed for a disturbance of every state that z contains"
 
 
 def regularise_problem(plant: Plant) -> WellPosedProblem:
-    """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units."""
+    """Returns problem (22) of a plant; if it is degenerate, a regularised problem. The result does not depend on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return WellPosedProblem(plant)  # bad input, which the central path refuses
     scale, forces = own_units(plant).exact
@@ -60,7 +60,7 @@ def regularise_problem(plant: Plant) -> WellPosedProblem:
 
 
 def unpenalised_inputs(plant: Plant) -> list[str]:
-    """Returns a message if a control force costs nothing, as (22) then has no optimum; empty otherwise."""
+    """Returns a message if z does not penalise some control force, because (22) then has no optimum; otherwise an empty list."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
@@ -74,7 +74,10 @@ def unpenalised_inputs(plant: Plant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one."""
+    """Returns a message about the slowest undamped mode that z does not observe, because (22) then has no optimum.
+
+    The list is empty if there is no such mode.
+    """
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
@@ -106,20 +109,21 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 
 
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
-    """Refuses a problem with a mode that does not decay and that z does not contain, as the path of (22) then has no end.
+    """Checks that z contains every mode that does not decay. Otherwise the central path of (22) has no end.
 
     Raises:
-        InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: the optimal loop is not stable.
+        InfeasibleError: no control force can stabilise the plant; the message describes the mode.
+        DesignError: the plant can be stabilised, but the optimal loop is not stable.
     """
-    if modes := unobservable_marginal_modes(problem, states):  # else the path would be followed in vain
+    # otherwise, the path would be followed without reaching an optimum
+    if modes := unobservable_marginal_modes(problem, states):
         if reached_by_none := "; ".join(stabilisability_failures(plant, states)):
             raise InfeasibleError(reached_by_none)
         raise DesignError(modes[0])
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns basis (n, k) and plant of the states that `remove_unobservable` leaves, and the gain that hides the others."""
+    """Returns the observable states as a basis (n, k), their plant, and the gain that hides the other states."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -130,24 +134,30 @@ def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
 
 
 def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
-    """Returns True if inputs drive states outside a subspace; `what` is their component outside, if it is known."""
+    """Returns True if inputs drive states outside a subspace.
+
+    Args:
+        inputs: input matrix, shape (n, r).
+        inside: orthonormal basis of the subspace.
+        what: component of the inputs outside the subspace, if it is known.
+    """
     outside = inputs - inside @ (inside.T @ inputs) if what is None else what
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
 
 
 def _with_disturbances(plant: Plant, where: Array) -> Plant:
-    """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
+    """Returns the plant with additional disturbances, one for each column of `where`, that act on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
 
 def _with_all_outputs(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
-    """Returns the plant with every state and every input in z, each in its own size.
+    """Returns the plant with every state and every input as an additional output in z, each scaled by its internal unit.
 
     Args:
-        own: the given plant in own units.
-        scale: own unit of each state, shape (n,).
-        forces: own unit of each input, shape (m,).
+        own: the given plant in internal units.
+        scale: internal unit of each state, shape (n,).
+        forces: internal unit of each input, shape (m,).
     """
     n, m = plant.B.shape
     weight = size(own.C)

@@ -1,9 +1,10 @@
-"""Static gains by descent on the norm: where the two steps cannot be completed or do not suffice, and from where they end.
+"""Static gains by descent on the norm: as a fallback if the two steps fail, and as a refinement of their result.
 
-A central path may break off, or have no end at a finite gain, and problems may be too large for it. Problem (25) may have no
-solution from any X tried. A gain may exist nevertheless: the strategy of `static.py` needs no path. Proofs that no gain exists
-are checked and reported first: a mode that no force reaches or no measurement shows, or poles that no gain moves. If filters or
-noise leave a solution far above the lower bound, the descent continues from it.
+The two steps can fail in several ways: a central path breaks off, the gain grows without limit, or a problem is too large.
+Problem (25) may also have no solution from any X tried. A stabilising gain may exist nevertheless, and the search in
+`static.py` does not need a central path. Proofs that no gain exists are checked and reported first: a mode that no force
+affects or no measurement shows, or poles that no gain moves. If filters or noise keep the two steps far above the lower bound,
+descent continues from their result.
 """
 
 import contextlib
@@ -34,21 +35,22 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
-ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # how a norm is lowered
+ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # where a lower norm came from
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
-NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
-LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
-MOST_GROWTH = 2.0**100  # of a gain from zero
-LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
+NEAR = 1e-3  # relative distance to the lower bound; the result of the two steps is not refined if it is closer
+LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative distances of the norm of a state feedback to the lower bound
+MOST_GROWTH = 2.0**100  # growth that counts if a gain grows from zero
+# limits on the entries of a gain, tried until the poles are slow enough for an actuator; as in `fixed_order.py`
+LIMITS = (np.inf, 100.0, 10.0, 3.0)
 
 
 def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by descent on the norm where the two steps find none, or none that suffices.
+    """Designs a static gain by descent on the norm if the two steps find no gain, or no sufficient gain.
 
     Raises:
-        DesignError: no gain was found whose certificate holds; the message gives the reason. A certificate may lack a bound if
-            rounding leaves no proof, as for the large gains of 60 states.
+        DesignError: no gain with a valid certificate was found; the message gives the reason. Rounding may leave a certificate
+            without a proved bound, for example for the large gains of 60 states.
     """
     plant, steps, failure = problem.plant, problem.start, problem.failure
     if steps is None:
@@ -60,7 +62,7 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
     from synth.design.static import design_by_descent
 
-    # In place of two steps that are worse than no control, a gain with poles that actuators can follow is enough.
+    # If the two steps are worse than no control, it is enough to find a gain whose poles an actuator can follow.
     limits = LIMITS if steps is not None and not np.any(plant.Dyw) and not plant.weights else LIMITS[:1]
     try:
         ends = design_by_descent(independent, start, *given, limits=limits, work=problem.work)
@@ -81,11 +83,12 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Lowers the norm of two steps that end more than 0.1 % above the lower bound, as `refine` does.
+    """Lowers the norm by descent, as `refine` does, if the two steps end more than 0.1 % above the lower bound.
 
-    Each doubling of the gain is worth 0.1 % of the norm. If all states are measured without noise, a Riccati equation has another
-    gain, as near the bound as `largest_gain` allows, if that is given, or else actuators. Where that ends more than 1 % above the
-    bound, descents begin elsewhere, too. The lower norm is kept, unless it takes poles beyond any actuator.
+    The gain may double for each 0.1 % by which the norm falls. If all states are measured without noise, a Riccati equation
+    gives another gain. The norm of this gain is as near the bound as `largest_gain` allows or, without `largest_gain`, as
+    actuators allow. If the result is still more than 1 % above the bound, descents also start from other gains. The gain with
+    the lower norm is returned, unless its poles are too fast for an actuator.
     """
     from synth.design.static import bounded_work
 
@@ -108,10 +111,10 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
-    """Returns a design of a lower norm, the growth of the gain, the start, and a remark; None if no design is found.
+    """Returns a design with a lower norm, the growth of its gain, its start, and a remark; None if there is no such design.
 
-    From the gain of the two steps, and of a Riccati equation if all states are measured, the norm falls within one valley. Where
-    that ends far above the lower bound others are searched, too.
+    The descents start from the gain of the two steps and, if all states are measured, from that of a Riccati equation. Both
+    stay in one local minimum. If they end far above the lower bound, further minima are searched.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.growth import price
@@ -153,9 +156,10 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
 
 
 def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: float) -> tuple[list[Array], str]:
-    """Returns the state feedback of a Riccati equation nearest to the lower bound that is not too fast, and why none is nearer.
+    """Returns the gain of a Riccati equation closest to the lower bound that is slow enough, and why none is closer.
 
-    Poles beyond any actuator are accepted if a largest gain is given. None is returned unless all states are measured.
+    If a largest gain is given, poles that are too fast for an actuator are accepted. The list of gains is empty unless all
+    states are measured.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.landscape import Landscape
@@ -175,7 +179,7 @@ def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: floa
 
 
 def _known_gain(plant: Plant, two_steps: DesignResult | str, lower_bound: "LowerBound | None") -> tuple[DesignResult, str] | None:
-    """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
+    """Returns a certified gain that is known without a descent, and how it is known; None if no gain is known."""
     from synth.analysis.bounding import certify_law
 
     nothing = static_law(np.zeros((plant.B.shape[1], len(plant.Cy))))

@@ -1,7 +1,8 @@
-"""Design of any controller for any plant, with the keys of a controller's section as arguments.
+"""Design of a controller for any plant. The arguments are the keys of a controller's section in a vehicle file.
 
-The arguments are checked first, also against the table of `models/laws/combinations.py`, and make a `DesignProblem`, for which
-`synth.design.methods` chooses the method. Every method has its own file and can be called directly.
+The arguments are checked first, also against the table of compatible options in `models/laws/combinations.py`. The result is a
+`DesignProblem`, for which `synth.design.methods` chooses the design method. Every method has its own file and can also be
+called directly.
 """
 
 import contextlib
@@ -34,7 +35,7 @@ from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
 FEEDBACK = tuple(name for name in DESIGNS if name != PREVIEW)
-FeedbackDesign = DesignResult  # its public name
+FeedbackDesign = DesignResult  # exported name
 
 
 @numerics()
@@ -60,44 +61,48 @@ def design_feedback(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> FeedbackDesign:
-    """Returns a controller of any plant, with its proofs, the method that found it, and the reason for that method.
+    """Designs a controller for any plant, with certificate, design method, and the reason for this method.
 
-    By default it is a static gain for the least norm: by the two steps, followed by descent if they end more than 0.1 % above the
-    lower bound, or by descent alone if they find none. The arguments are the keys of a controller's section in a vehicle file,
-    and can be combined as there. A plant by itself has no names: its measurements are y1, y2, ..., its forces u1, u2, ..., the
-    rows of z are z1, z2, ...
+    The default is a static gain with the smallest H-infinity norm. The paper's two steps design it. Descent follows if their
+    norm is more than 0.1 % above the lower bound, or if they find no gain. The arguments are the keys of a controller's section
+    in a vehicle file, and the same combinations are allowed. The measurements of a plant are named y1, y2, ..., its forces u1,
+    u2, ..., and the rows of z are named z1, z2, ...
 
     Args:
-        plant: n states, m inputs; continuous, or discrete by its dt.
-        Cy: measurements y = C_y x + Dyw w, shape (q, n). Default: those of the plant, or without any every state.
-        Dyw: shape (q, r); zero where it is not given.
-        order: "static", the default, "full" for a law of as many states as the plant, or a number of states between these.
-        design: "lqr", "lqg" or "h2", with the least mean square instead of the least norm.
-        stable: True for a law with an order that is stable by itself.
-        fastest_pole: largest magnitude of the loop's poles [rad/s], for order = "full" of a continuous plant; None for no limit.
-        noise: rms of each measurement's noise, shape (q,), which counts as much as 1 of w; for LQG of white noise, see
-            `lqg_design`.
-        sample_period: period of the computer that closes the loop of a continuous plant and holds the forces [s].
-        delay: delay from a measurement to its force [samples].
-        minimise: the norm that is minimised, as in {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
-        bounds: bounds such as [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
-        tolerance: largest relative errors, as in {"y1": 0.1, "force": 0.05}.
-        family: further plants that the same gain is for; the largest norm of all counts. Their default measurements are Cy.
-        structure: ones where a measurement may act on a force, else zeros, shape (m, q); with a number of states each force has
-            a law of its own with so many. Or "pi" or "pid", a law of that kind from each measurement to a force.
-        pid: time constant of the derivative's low-pass for "pid" [s], such as {"filter": 0.01}.
-        largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
-        lower_bound: lower bound for any controller from these measurements, if known, for the certificate.
+        plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
+        Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). By default, the measurements of the plant, or all states if
+            the plant has no measurements.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+        order: "static" (default), "full" for a law with as many states as the plant, or a smaller number of states.
+        design: "lqr", "lqg" or "h2" for the smallest mean square of z instead of the smallest H-infinity norm.
+        stable: True if the law itself must be stable; only for a law with an `order`.
+        fastest_pole: largest magnitude of the closed-loop poles [rad/s], for order = "full" of a continuous plant; None for no
+            limit.
+        noise: rms noise of each measurement, shape (q,). For the H-infinity norm, the noise counts as an additional disturbance
+            of size 1, multiplied by this rms. For LQG it is white noise, see `lqg_design`.
+        sample_period: sample period of the computer that closes the loop of a continuous plant and holds the forces [s].
+        delay: delay from a measurement to its force [sample periods].
+        minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
+        bounds: bounds on other quantities, for example [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
+        tolerance: largest relative gain errors of measurements and forces, for example {"y1": 0.1, "force": 0.05}.
+        family: further plants for the same gain. The largest norm of all plants counts. By default, they have the measurements
+            Cy.
+        structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. With a number of
+            states as `order`, each force has its own law with this number of states. The text "pi" or "pid" selects this type
+            of law from each measurement to its force.
+        pid: time constant [s] of the low-pass of the derivative for "pid", for example {"filter": 0.01}.
+        largest_gain: bound on |K_ij| of a static gain with the smallest norm, in the units of the plant; 1e5 by default.
+        lower_bound: lower bound on the norm of every controller from these measurements, if known, for the certificate.
         states: names of the states, for messages.
 
     Returns:
-        A `FeedbackDesign`: the law, u = +K y for a gain, its certificate, method, why and remark; with a sample period also the
-        sampled norm and its lower bound.
+        The law (u = +K y for a gain), its certificate, and the attributes method, why and remark. With a sample period, the
+        result also has the sampled norm and its lower bound.
 
     Raises:
-        InputError: a matrix does not fit the plant, it has no input, or two arguments exclude each other.
-        InfeasibleError: no such controller stabilises the plant; the message names the mode.
-        DesignError: no method found one; the message gives the reason.
+        InputError: a matrix does not fit the plant, the plant has no input, or two arguments exclude each other.
+        InfeasibleError: no such controller stabilises the plant; the message describes the mode.
+        DesignError: no method found a controller; the message gives the reason.
 
     Example:
         >>> from synth import GeneralizedPlant, design_feedback
@@ -152,7 +157,7 @@ def design_feedback(
         return _for_goals(problem, plant, rms, goals, family)
     if design is not None:
         check_continuous(plant)
-    if design == "lqg":  # its white noise is not a part of w
+    if design == "lqg":  # the white noise of LQG is not a part of w
         problem = replace(problem, plant=plant, noise=tuple(rms) if len(rms) else None)
     if design is None and problem.structure is None and order != FULL:
         return _static(problem)
@@ -171,7 +176,7 @@ def _parts(
     family: Sequence[Plant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
-    """Returns the requested parts of the table, each as it is written."""
+    """Returns the requested parts of the table of compatible options, with the text of each as the user wrote it."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)
@@ -181,7 +186,7 @@ def _parts(
 
 
 def _plain(value: Any) -> Any:
-    """Returns tables, lists and numbers as in a vehicle file."""
+    """Converts tables, lists and numbers to the types of a vehicle file."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -190,7 +195,7 @@ def _plain(value: Any) -> Any:
 
 
 def _distance(certificate: Certificate) -> str:
-    """Returns the gap between a norm and the lower bound, in words; empty if it is zero."""
+    """Returns the gap between a norm and its lower bound, as text; empty if the norm itself is zero."""
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller has a lower norm"
     reason = f"; {certificate.below.reason}" if certificate.below is not None and certificate.below.reason else ""
@@ -200,10 +205,10 @@ def _distance(certificate: Certificate) -> str:
 
 
 def _rms(plant: Plant, noise: Sequence[float]) -> Array:
-    """Returns the rms of each measurement's noise, shape (q,); empty without noise.
+    """Returns the rms noise of each measurement, shape (q,); empty without noise.
 
     Raises:
-        InputError: the noise does not fit the measurements.
+        InputError: the noise does not have one value from 0 upwards for each measurement.
     """
     rms = real_matrix([list(noise)], "noise", "(q,)")[0]
     if len(noise) and (rms.shape != (len(plant.Cy),) or not np.all(rms >= 0)):
@@ -215,13 +220,13 @@ def _rms(plant: Plant, noise: Sequence[float]) -> Array:
 
 
 def _with_noise(plant: Plant, rms: Array) -> Plant:
-    """Returns a plant with the noise of the measurements as further disturbances."""
+    """Returns the plant with the noise of its measurements as additional disturbances."""
     some = rms > 0
     return plant.with_disturbances(np.diag(rms)[:, some]) if np.any(some) else plant
 
 
 def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
-    """Returns the structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
+    """Returns the structure of a law with measurements y1, y2, ... and forces u1, u2, ..., read from the keys of a section."""
     q, m = plant.Dyu.shape
     measured, corners = [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)}
     asked = read(WHERE, StructureSection, section, measured=measured, corners=corners)
@@ -230,7 +235,7 @@ def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
 
 
 def _static(problem: DesignProblem) -> DesignResult:
-    """Designs a static gain, by the two steps, and by descent from there or in their place."""
+    """Designs a static gain by the two steps, followed or replaced by descent."""
     from synth.design.static import bounded_work
 
     result = designed(replace(problem, work=bounded_work(problem.plant)))
@@ -242,11 +247,11 @@ def _static(problem: DesignProblem) -> DesignResult:
 
 
 def _design_sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[HoldInterval, ...]) -> DesignResult:
-    """Designs a gain or a law for the loop that a computer closes."""
+    """Designs a gain or a law for the sampled-data loop."""
     check_continuous(plant)
     if np.any(plant.Dyw):
         raise InputError(
-            f"{WHERE} Dyw has no effect between samples; with sample_period omit Dyw and give noise, one rms value for each"
+            f"{WHERE} Dyw has no effect between samples; with sample_period, omit Dyw and give noise, one rms value per signal"
         )
     from synth.design.static import bounded_work
 
@@ -271,7 +276,7 @@ def _design_sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tu
 def _for_goals(
     problem: DesignProblem, plant: Plant, rms: Array, section: Mapping[str, Any], family: Sequence[Plant]
 ) -> DesignResult:
-    """Designs a gain for goals, of the plant and of a family."""
+    """Designs a static gain for goals of the plant and of a family of plants."""
     from synth.design.multi_objective.design import with_individual_optima
     from synth.design.multi_objective.plant_goals import goals_of_plants
 

@@ -1,10 +1,10 @@
-"""The choice between the methods of design, and `design`, which runs the chosen methods.
+"""Choice of the design methods for a problem, and `design`, which runs them.
 
-A method is a function in a file of its own, and a row in `EXTENSIONS` of `models.common.extensions`:
+A method is a function in its own file, and a row in `EXTENSIONS` of `models.common.extensions`:
 
     def method(problem: DesignProblem, progress: Progress) -> DesignResult
 
-It raises an InputError, such as a DesignError, where it finds no controller.
+A method raises an InputError, for example a DesignError, if it finds no controller.
 """
 
 import contextlib
@@ -21,13 +21,14 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
-FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
+FAR = 0.01  # relative distance to the lower bound up to which the result of the two steps is sufficient if filters have states
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
-LARGEST_BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
+# largest number of states for which a lower bound is computed automatically; it takes minutes for more states
+LARGEST_BOUNDED = 20
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the methods for a problem: those to try until one succeeds, and those that then continue from its result."""
+    """Returns the methods to try until one succeeds, and the methods that then continue from its result."""
     if problem.method:
         return (problem.method,), ()
     if problem.errors is not None:
@@ -49,11 +50,11 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
-    """Returns why descent goes on from a result of the two steps, in words; empty if this result suffices, and for others.
+    """Returns the reason for descent after the two steps, as text; empty if their result is sufficient or from another method.
 
-    The two steps ignore noise. The X of (22) feeds back every state, those of filters too, which y does not have and no control
-    moves; L (14) ties a gain to that X all the same. So with filters descent goes on from the two steps. It also goes on
-    from a gain whose norm is above that without control.
+    The two steps ignore noise. The X of (22) feeds back every state. This includes the filter states, which y does not contain
+    and no control moves, and L (14) bases the gain on this X. With filters, descent therefore continues from the result of the
+    two steps. Descent also continues if the norm is larger than that without control.
     """
     plant, certificate = problem.plant, steps.certificate
     norm = certificate.norm.value
@@ -74,14 +75,14 @@ def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
 
 @numerics()
 def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
-    """Designs a controller by the methods that a problem leads to.
+    """Designs a controller by the methods that `choose` selects for a problem.
 
     Args:
-        progress: callback that receives the value reached so far, and True if all bounds are kept.
+        progress: function that receives the value reached so far, and True if all bounds are fulfilled.
 
     Raises:
-        InfeasibleError: no such controller stabilises the plant; the message names the mode.
-        DesignError: no method found one; the message gives the reason.
+        InfeasibleError: no such controller stabilises the plant; the message describes the mode.
+        DesignError: no method found a controller; the message gives the reason.
     """
     tries, further = (tuple(name for name in names if name in METHODS) for names in choose(problem))
     if "descent" in further and problem.order != FULL:
@@ -108,10 +109,10 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
 
 
 def _possible(problem: DesignProblem) -> DesignProblem:
-    """Returns the problem of a static gain with a lower bound, which is found unless the plant has too many states.
+    """Returns the problem of a static gain with its lower bound, which is computed unless the plant has too many states.
 
     Raises:
-        InfeasibleError: no static gain stabilises the plant; the message names the mode.
+        InfeasibleError: no static gain stabilises the plant; the message describes the mode.
     """
     from synth.design.two_step import check_stabilisable
 
@@ -123,7 +124,7 @@ def _possible(problem: DesignProblem) -> DesignProblem:
 
 
 def _instead_of_riccati(problem: DesignProblem, result: DesignResult, failure: Exception) -> DesignResult:
-    """Returns the result of the method that replaced the Riccati equations, with the reason."""
+    """Returns the result of the method that replaced the Riccati equations, with the reason for the replacement."""
     certificate = replace(result.certificate, below=problem.lower_bound)
     why = f"Riccati equations for the least norm failed: {failure}"
     method = "H2, of full order" if result.criterion == H2_NORM else result.method

@@ -1,4 +1,4 @@
-"""The name of earlier versions for one gain for several plants; `design_feedback` with `family` finds it now."""
+"""The former name of a design of one gain for several plants. Use `design_feedback` with `family` instead."""
 
 import warnings
 from collections.abc import Sequence
@@ -12,16 +12,19 @@ from synth.plant.generalized import Plant
 def slack_design(
     plants: Sequence[Plant], Cys: Sequence[Array], structure: Array | None = None, f: Sequence[float] = ()
 ) -> FeedbackDesign:
-    """Returns one gain for several plants by `design_feedback` with `family`, which replaces this function.
+    """Designs one static gain for several plants. Deprecated: use `design_feedback` with `family` instead.
 
     Args:
-        plants: plants of equal size.
+        plants: plants with the same numbers of states, inputs, disturbances and outputs.
         Cys: measurement matrix of each plant, shape (q, n) each.
-        structure: mask of ones and zeros, shape (m, q); None: every entry of the gain may be other than zero.
-        f: no longer used.
+        structure: mask of ones and zeros, shape (m, q). By default, no entry of the gain is fixed to zero.
+        f: ignored; kept for compatibility.
+
+    Returns:
+        The design of `design_feedback`.
 
     Raises:
-        InputError: the plants do not fit one another, or a C_y or the structure does not fit.
+        InputError: the plants do not fit one another, or a C_y or the structure does not fit the plants.
         DesignError: no gain was found that stabilises all plants.
 
     Example:

@@ -1,4 +1,7 @@
-"""A design problem of any plant, and its result: what every method of `synth.design.methods` takes and returns."""
+"""The design problem of any plant, and its result.
+
+Every method of `synth.design.methods` takes the first and returns the second.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,34 +32,34 @@ if TYPE_CHECKING:
     from synth.lmi.central_path import CentralPoint
 
 
-SEEN = 1e-6  # relative: what a table of seven digits shows
-LARGEST_GAIN = 1e5  # of |K_ij| where a search has no bound of its own
+SEEN = 1e-6  # relative: visible in a table with seven digits
+LARGEST_GAIN = 1e5  # bound on |K_ij| if a search has no other bound
 NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"  # criteria
-TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # methods, in words
-FEW = 4  # states; of more the matrices of a law are not shown
+TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the methods
+FEW = 4  # a law with more states is shown without its matrices
 Progress = Callable[[float, bool], None]
 
 
 def as_designed(law: LinearLaw) -> LinearLaw:
-    """Returns the law itself, which is run as it is designed."""
+    """Returns the law unchanged, because it runs as it is designed."""
     return law
 
 
 def quiet(value: float, within: bool) -> None:
-    """Ignores what a design has reached."""
+    """Ignores the progress of a design."""
 
 
 @dataclass(frozen=True, eq=False)
 class WellPosedProblem:
-    """A problem (22) that is not degenerate.
+    """Problem (22) of a plant, regularised if it is degenerate.
 
     Attributes:
-        plant: plant to design for: the given plant, unless its problem is degenerate.
-        case: degeneracy of the given problem, in words, or empty.
+        plant: plant to design for. This is the given plant unless its problem is degenerate.
+        case: text about the degeneracy of the given problem; empty if it is not degenerate.
         best: an optimal state gain, shape (m, n), if one is known.
-        best_case: degeneracy that makes that gain optimal, in words.
-        regular: True if w acts on the state, and z contains every state without control and under the gain -D^+ C. No mode can
-            then be hidden from z. A force without a weight may still leave (22) without an optimum.
+        best_case: text about the degeneracy that makes `best` optimal.
+        regular: True if w acts on a state, and z contains every state, both without control and under the gain -D^+ C. No mode
+            can then be hidden from z. If a force has no weight, (22) may still have no optimum.
     """
 
     plant: Plant
@@ -72,36 +75,42 @@ class WellPosedProblem:
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """Problem of a controller's design. The plant contains the measurements, and noise on them that counts as a part of w.
+    """Design problem of a controller. The plant contains the measurements; their noise is a part of w.
 
     Attributes:
         plant: n states, m inputs, q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for as many states as the plant. A `structure` overrides the order.
-        structure: structure of a law of fewer states; None without one.
-        design: name in `DESIGNS`, such as "h2" for the least mean square of z; empty for the least norm.
-        method: name in `METHODS` of the only method to use; empty for those that the problem leads to.
-        stable: True for a law that is stable by itself.
-        fastest_pole: largest magnitude of the loop's poles [rad/s]; None for no limit.
+        order: "static" for a gain, or "full" for as many states as the plant. If a `structure` is given, its order applies.
+        structure: structure of a law with fewer states than the plant; None if there is no such structure.
+        design: name in `DESIGNS`, such as "h2" for the least mean square of z. An empty name selects the smallest H-infinity
+            norm.
+        method: name in `METHODS` of the only method to use. If it is empty, `choose` selects the methods.
+        stable: True if the law itself must be stable.
+        fastest_pole: largest magnitude of the loop's poles [rad/s]; None if there is no limit.
         largest_gain: bound on |K_ij| of a static gain.
-        noise: white noise of each measurement for "lqg", shape (q,); None without noise.
-        preview: time for which w is known ahead [s].
-        sampled: the loop that a computer closes, without noise on the plant's w; None for the ideal loop.
-        sampled_bound: lower bound of that loop, if it is known.
-        known: laws that a search starts from; static gains of the ideal loop for a gain of the sampled loop.
-        near: a level near the norm of the sampled loop.
-        goals: goals of a static gain; None for the norm alone.
-        errors: the plant with errors weighted by frequency, for a law of the least robust performance; None without errors.
-        alternatives: True to find the lower bound of a static gain, to go on from two steps that end above that bound, and to use
-            another design where Riccati equations fail. A vehicle file has the two steps as they are.
-        thorough: True to find the lower bound of a sampled loop, and to tell what is not proved of a family.
-        lower_bound: lower bound for any controller from these measurements, if known.
+        noise: rms of the white noise of each measurement for "lqg", shape (q,); None without noise.
+        preview: time by which w is known in advance [s].
+        sampled: sampled-data loop to design for, without noise on the plant's w; None for the ideal continuous loop.
+        sampled_bound: lower bound on the norm of the sampled-data loop, if it is known.
+        known: laws from which a search starts. For a static gain of the sampled-data loop, these are gains of the ideal loop.
+        near: estimate of the norm of the sampled-data loop.
+        goals: goals of a static gain; None if only the norm counts.
+        errors: plant with frequency-weighted uncertainties, for a law with the best robust performance; None without
+            uncertainties.
+        alternatives: True to find the lower bound of a static gain, and to continue after two steps that end above it. Another
+            method is then also used if Riccati equations fail. For a vehicle file, this is False, so that the two steps remain
+            unchanged.
+        thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
+            plants.
+        lower_bound: lower bound on the norm of every controller from these measurements, if known.
         states: names of the states, for messages.
-        path: returns the central path of (22) if it is known, or raises a DesignError.
-        as_run: returns a law as it is run, for a law that takes forces out of what it reads.
-        certify: returns the certificate of a law as it is run; that of its loop with the plant if it is not given.
-        work: counts the norms of searches; each has its own count if it is not given.
-        start: result of the previous method, to start from; None for the first method.
-        failure: error of the previous method, if that method found no controller.
+        path: function that returns the central path of (22) if it is known, or raises a DesignError.
+        as_run: function that converts a designed law to the law that runs, for example for a law that subtracts forces from its
+            measurements.
+        certify: function that returns the certificate of the law that runs. By default, this is the certificate of its loop
+            with the plant.
+        work: counter of the norms that the searches evaluate; each search has its own counter by default.
+        start: result of the previous method, from which the next method continues; None for the first method.
+        failure: error of the previous method, if it found no controller.
     """
 
     plant: Plant
@@ -132,11 +141,11 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns the problem with a result from which a method goes on."""
+        """Returns the problem with the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:
-        """Returns the certificate of a law's ideal loop.
+        """Returns the certificate of the ideal loop with a law.
 
         Raises:
             ValueError, LinAlgError: a discrete law has no counterpart in continuous time.
@@ -150,39 +159,39 @@ class DesignProblem:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignResult(ShownResult):
-    """A controller of a plant, with its certificate, and the method that led to it.
+    """Controller of a plant with its certificate, and the method that designed it.
 
     Attributes:
-        law: law from the q measurements to the m forces, with A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, without a minus
-            sign; a static one is u = K y. With a sample period the next x_c replaces x_c'.
-        certificate: certificate of its loop, in continuous time or of the discrete plant. Noise is a part of w.
-        method: method of the design.
-        why: reason for that method, in words.
-        remarks: distance from the optimum, assumptions and left-out measurements, in words.
-        value: value of the objective that was minimised; the norm if it is not given.
-        criterion: name of that value: "norm", "sampled norm", "H2 norm", or a goal.
-        sampled_lower_bound: bound on the sampled norm that no controller of any order beats at this sample period and delay; None
-            without a sample period, or if none is proved.
-        level: upper bound on the sampled norm from the LMI of the two steps for the sampled loop; None for other designs.
-        redundant: measurements that follow from others, by index; their gain is zero.
-        case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
-        instead: the fallback method, and the reason why the two steps found no gain, in words, or empty.
-        state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
-            central path, more if the second problem is infeasible from there.
-        optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
-            gains beyond any actuator reach the optimum.
-        moved: last change of the gain along its path, relative to its largest entry: about a hundred times the distance to the
-            limit. It is at most 4e-5 for the built-in cars, and for the two steps of a chain of 40 states. But the state feedback
-            of chains of 26 and 40 states still grows a hundredfold as mu falls as much. The norm of such a gain is proved, but
-            none of its digits is that of the optimum.
-        origin: start of the search that led to the law, in words; empty without a search.
-        two_steps: result of the two steps that the search of a static gain also started from; None without.
-        starts: number of other stable starts of that search.
-        preview: force from the road ahead, in addition to that of the law; None without.
-        without: value of the objective if nothing is known ahead.
-        trade: Pareto front of norm and speed of full-order laws, the slowest first; empty for a law that is near the bound and
-            not fast. For a discrete plant they belong to its continuous image.
-        details: result of its method alone: the `MultiObjectiveDesign` of a design for goals, else None.
+        law: law from the q measurements to the m forces, with matrices A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, without
+            a minus sign. A static law is u = K y. With a sample period, x_c' is replaced by the next x_c.
+        certificate: certificate of the closed loop, in continuous time or for a discrete plant. Noise is a part of w.
+        method: name of the design method.
+        why: reason for this method, as text.
+        remarks: texts about the distance from the optimum, assumptions and unused measurements.
+        value: value of the minimised objective; by default the norm in the certificate.
+        criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
+        sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
+            without a sample period, or if no bound is proved.
+        level: upper bound on the sampled norm from the LMI of the two steps for the sampled-data loop; None for other designs.
+        redundant: indices of the measurements that depend linearly on others. The gain of these measurements is zero.
+        case: text about the degeneracy of (22) (no optimum, or every gain optimal); empty if it is not degenerate.
+        instead: text with the fallback method and the reason why the two steps found no gain; empty if they found one.
+        state_step_gap: relative distance in gamma between the optimum of (22) and the point that gave X for L (14). The
+            distance is 0 at the limit of the central path, and larger if the second problem has no solution from there.
+        optimum_gap: relative distance in gamma between the gain and the optimum of its own problem. The distance is 0 at the
+            limit of the central path, and larger if only gains that are too fast for an actuator reach the optimum.
+        moved: last change of the gain along its central path, relative to its largest entry. This is about a hundred times the
+            distance to the limit of the path. The change is at most 4e-5 for the built-in cars, and for the two steps of a
+            chain of 40 states. For chains of 26 and 40 states, however, the state feedback still grows a hundredfold if mu
+            falls by a factor of a hundred. The norm of such a gain is proved, but none of its digits agrees with the optimum.
+        origin: text about the start of the search that led to the law; empty without a search.
+        two_steps: result of the two steps, if the search of a static gain also started from it; otherwise None.
+        starts: number of the other stable starts of this search.
+        preview: force from the road ahead, which adds to the force of the law; None without preview.
+        without: value of the objective without preview.
+        trade: Pareto front of the norm and the speed of full-order laws, the slowest first. The front is empty if the law is
+            near the lower bound and not fast. For a discrete plant, the laws belong to its continuous image.
+        details: additional result of the method: a `MultiObjectiveDesign` for a design with goals, otherwise None.
     """
 
     law: LinearLaw
@@ -214,27 +223,27 @@ class DesignResult(ShownResult):
 
     @property
     def remark(self) -> str:
-        """Its remarks in one text."""
+        """All remarks as one text."""
         return "; ".join(self.remarks)
 
     @property
     def stable(self) -> bool:
-        """True if the law itself is stable; an unstable one grows while its loop is open, as when a force saturates."""
+        """True if the law itself is stable. An unstable law grows when its loop is open, for example when a force saturates."""
         return is_stable(self.law.A, self.law.sample_period)
 
     @property
     def sampled_norm(self) -> float | None:
-        """L2 gain of the loop that the computer closes, see `synth.sampled_norm`; None without a sample period."""
+        """L2 gain of the sampled-data loop, see `synth.sampled_norm`; None without a sample period."""
         return self.value if self.criterion == SAMPLED_NORM else None
 
     @property
     def h2_norm(self) -> float:
-        """Rms of z under white noise w and LQG's noise, Dw left out; NaN for a law of another criterion."""
+        """Rms of z under white noise w and the noise of LQG, without Dw; NaN for a law with another criterion."""
         return self.value if self.criterion == H2_NORM else np.nan
 
     @property
     def gain(self) -> Array:
-        """K of a static law, shape (m, q).
+        """Gain matrix K of a static law, shape (m, q).
 
         Raises:
             InputError: the law has states.
@@ -255,12 +264,12 @@ class DesignResult(ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """The gain of the closed loop."""
+        """Plot of the largest singular value of the closed loop over frequency."""
         return self.certificate.figures
 
 
 def _law_shown(law: LinearLaw) -> dict[str, str]:
-    """Returns a law with states as text: how many, if they are stable by themselves, and its matrices if they are few."""
+    """Returns a law with states as text: the number of states, whether the law itself is stable, and small matrices."""
     stable = is_stable(law.A, law.sample_period)
     matrices = {name: gain_text(getattr(law, name)) for name in "ABCD"} if law.states <= FEW else {}
     return {"law": f"{states_text(law)}; {'' if stable else 'not '}stable by itself"} | matrices

@@ -1,27 +1,29 @@
-"""Designs for the loop that a computer closes: by the methods of ideal loops, for the discrete plant of a level.
+"""Designs for the sampled-data loop, which apply the methods for ideal loops to a discrete plant.
 
-For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`), with the forces on their way
-among its states, and the noise of the readings among its disturbances. So a law for it knows the delay, the hold and the motion
-between samples. `by_levels` searches the level: it has a method find a law at one, computes the exact norm of its loop
-(`synth/analysis/sampled_norm.py`), and goes on at that norm.
+For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). The states
+of this plant include the delayed forces, and the disturbances include the measurement noise. A law for this plant therefore
+takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method
+designs a law at one level. The exact norm of the law's sampled-data loop (`synth/analysis/sampled_norm.py`) is the next level.
 
-- Full order: Riccati equations, first at the lowest level at which they have a solution, which is bracketed without a search.
-- A given order or structure: descent, first at a level near the lower bound, then from the law found before.
-- A static gain: the two steps, followed by descent. A step reaches the level for whose plant its optimum is a norm of 1, found by
-  secants over the logarithms in a few problems. State feedback (22) has one such level, and the X of its optimum makes L (14).
-  The second step (25) has another. Every optimum is the limit of a central path, and so is the gain: it is unique, and depends on
-  no solver and no unit.
+- Full order: Riccati equations. The first level is the lowest one at which these equations have a solution, which is found by
+  bisection.
+- A given order or structure: descent. Descent starts at a level near the lower bound, and continues from the law of the last
+  level.
+- A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of its
+  discrete plant is 1, by the secant method over logarithms. The X of the state feedback (22) at its level gives L (14). The
+  second step (25) has another level. Every optimum is the limit of a central path. The gain is therefore unique, and depends
+  neither on a solver nor on units.
 
-Delayed forces are states that no measurement contains. An L that makes them follow the state feedback may leave the second step
-without a solution; an L that makes them follow an equally good gain may not. Descent on the exact norm then starts from the
-results and from the continuous design, and the lowest end is taken. The gain of the two steps stays if descent gains next to
-nothing. If they find no gain, or if no control does better, descent starts from whatever is known, with a remark. The two steps
-ignore noise of the measurements; descent includes it.
+The delayed forces are states that no measurement contains. If L makes them follow the optimal state feedback, the second step
+may have no solution. The second step may nevertheless have a solution if L makes them follow another gain that is equally good.
+Descent on the exact norm then starts from the results and from the continuous design, and the lowest norm wins. The gain of the
+two steps stays if descent hardly lowers its norm. If the two steps find no gain, or if no control is better, descent starts
+from all known gains, and a remark gives the reason. The two steps ignore noise of the measurements; descent includes it.
 
-The norm has several valleys if a mode of the plant turns by more than a fraction of a turn in a period, and a good gain for a
-fast rate may be unstable at a slow one. So descent starts where the norm is smallest along the line through the known gains, on
-either side of no control. If it ends more than 1 % above a lower bound, or finds nothing, the search for static gains
-(`static.py`) continues for the plant of one level.
+The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
+period. A good gain for a short period may be unstable for a long one. Descent therefore starts at the minima of the norm along
+the line through zero and the known gains, on both sides of zero. If it ends more than 1 % above a lower bound, or finds
+nothing, the search for static gains (`static.py`) continues for the discrete plant of one level.
 """
 
 import contextlib
@@ -58,36 +60,40 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import own_units
 
 DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
-WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
-WORTH = 1e-4  # relative; a level at which a law gains less is the last, for what each leaves is the square of that
-LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8  # at most; a law that is to be stable by itself takes a descent at each
-NEAR = 1.1  # times the lower bound: the first level of a descent, where the norm of its plant is above one and says where to go
-HIGHER = {False: 1.01, True: 1.1}  # times a level without a law is the next, by whether it is to be stable by itself
-LOWEST, BRACKETED = 40, 1e-4  # steps at most, and how closely, relative, the lowest level with a solution is bracketed
-COSTS = (1e-3, 1e-5)  # shares of noise and cost, with which that is done
-ABOVE = 1e-4  # relative; how far above a bound within a period the first level is
+WITHIN = 1e-3  # relative distance to the lower bound at which the search ends
+# relative; the search ends if a level lowers the norm by less, because the remaining distance is about the square of this
+WORTH = 1e-4
+# largest number of levels: by default, for laws that must be stable themselves (one descent per level), and for `down`
+LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8
+# first level of a descent, as a multiple of the lower bound: the norm of its plant exceeds one, so its gradient is useful
+NEAR = 1.1
+HIGHER = {False: 1.01, True: 1.1}  # factor to the next level if there is no law, by whether the law itself must be stable
+LOWEST, BRACKETED = 40, 1e-4  # largest number of bisections for the lowest level with a solution, and their relative accuracy
+COSTS = (1e-3, 1e-5)  # shares of measurement noise and control cost in the plants of this bisection
+ABOVE = 1e-4  # relative distance of the first level to a lower bound that holds within one period
 
-WORTHWHILE_GAIN = 5e-5  # relative; the gain of the two steps stays where descent gains less
-SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
-STARTS = 3  # the best of them
-WORTH_ANOTHER = 1e-3  # relative; a gain of another valley is taken where it gains more
-LITTLE = 1e-2  # relative; a norm this close to a lower bound is left at that
-LARGEST_BOUNDED = 20  # states; of more a lower bound takes minutes, and a search, too
-FURTHEST = 5  # powers of FAR times a guess of the norm: levels that are tried
-MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
-CLOSE = 1e-9  # relative: so near to 1 a norm is it
-GROW = 1.05  # of a level, where there is no solution; the square of it the next time
-FAR = 1e3  # times where the search for a level starts
-ROUNDS = 60  # five or so do
-MOST = 260  # unknowns of (22) for a level, 21 states with one input: a dozen or two of such problems take half a minute
-ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reached at a limit of central paths
+WORTHWHILE_GAIN = 5e-5  # relative; the gain of the two steps stays if descent lowers the norm by less
+# factors for a known gain, with either sign; a gain smaller than a thousandth of it counts as zero
+SHARES = 2.0 ** -np.arange(11)
+STARTS = 3  # number of the best points on the line from which descent starts
+WORTH_ANOTHER = 1e-3  # relative; the gain of another local minimum is used if it lowers the norm by more
+LITTLE = 1e-2  # relative; a norm this close to a lower bound is not lowered further
+LARGEST_BOUNDED = 20  # largest number of states for a lower bound and a further search, which take minutes for more states
+FURTHEST = 5  # number of powers of FAR, times an estimate of the norm, that are tried as the highest level
+MOST_STATES = 100  # largest number of states of a level's plant, for which a descent takes ten seconds
+CLOSE = 1e-9  # relative; a norm this close to 1 counts as 1
+GROW = 1.05  # factor to the next level if there is no solution; the factor is squared each time
+FAR = 1e3  # ratio of the highest level that is tried to the level from which the search starts
+ROUNDS = 60  # largest number of rounds; about five are necessary
+MOST = 260  # unknowns of (22) for a level (21 states with one input); a dozen or two of these problems take half a minute
+ROUNDING = 1e-7  # relative; the norm of a gain may exceed the level of its central path by this much
 
 
 LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
 
 
 class SampledLaw(NamedTuple):
-    """A law, the exact norm of its sampled loop, and remarks."""
+    """A law, the exact norm of its sampled-data loop, and remarks."""
 
     law: LinearLaw
     norm: float
@@ -95,7 +101,7 @@ class SampledLaw(NamedTuple):
 
 
 def norm_of(held: SampledDataProblem, K: Array, near: float) -> float:
-    """Returns the exact norm of a gain or a law [D, C; B, A]; infinite if its loop is not stable."""
+    """Returns the exact norm of the sampled-data loop of a gain or of a law [D, C; B, A]; infinite if the loop is not stable."""
     return sampled_norm(held.loop(K), near).value
 
 
@@ -109,16 +115,16 @@ def by_levels(
     higher: float = NEAR,
     work: Work | None = None,
 ) -> tuple[SampledLaw, bool]:
-    """Returns the law of the lowest sampled norm that a method finds at one level after another, and whether it has ended.
+    """Designs a law at one level after another. Returns the law with the lowest sampled norm; also True if `ended` stopped it.
 
     Args:
-        level: the first level; each further one is the norm that is reached at the one before.
-        method: returns a law for the plant of a level, and remarks, from the best law so far.
-        ended: returns True for the norm, the level and the lowest norm before, where a further level gains nothing.
-        best: a known law.
+        level: the first level. Each further level is the norm that the law of the previous level reaches.
+        method: function that designs a law for the plant of a level, from the best law so far; returns the law and remarks.
+        ended: function of the norm, its level, and the lowest norm before; returns True if a further level gains nothing.
+        best: a known law, if any.
         levels: largest number of levels.
-        higher: factor to the next level where no law is found.
-        work: counts norms; where it is over no level begins.
+        higher: factor to the next level if no law was found.
+        work: counter of the norms; no level begins after its limit is exceeded.
 
     Raises:
         InfeasibleError: no law stabilises the plant.
@@ -150,12 +156,12 @@ def by_levels(
 
 
 def _falls_no_more(norm: float, level: float, before: float) -> bool:
-    """Returns True if a norm is next to the lowest before."""
+    """Returns True if a norm is hardly lower than the lowest norm before."""
     return norm > before * (1 - WORTH)
 
 
 def design_sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a gain or a law for the loop that a computer closes."""
+    """Designs a gain or a law for the sampled-data loop."""
     assert problem.sampled is not None, "a sampled loop"
     if problem.structure is None and problem.order != FULL:
         return _static(problem)
@@ -170,7 +176,7 @@ def design_sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _bound(problem: DesignProblem, near: float) -> SampledBound | None:
-    """Returns the lower bound of the sampled loop of a problem; None if none is proved."""
+    """Returns the lower bound on the norm of the sampled-data loop of a problem; None if no bound is proved."""
     if not problem.thorough:
         return problem.sampled_bound
     from synth.lmi.sampled_bound import find_sampled_bound
@@ -180,7 +186,7 @@ def _bound(problem: DesignProblem, near: float) -> SampledBound | None:
 
 
 def _result(problem: DesignProblem, found: SampledLaw, bound: SampledBound | None, **more: Any) -> DesignResult:
-    """Returns the result of a law with the certificate of its ideal loop.
+    """Returns the design result of a law, with the certificate of its ideal loop.
 
     Raises:
         DesignError: the law has no counterpart in continuous time.
@@ -194,7 +200,7 @@ def _result(problem: DesignProblem, found: SampledLaw, bound: SampledBound | Non
 
 
 def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> LawWithRemarks:
-    """Returns the law and the remarks of the design for the plant of a level, as for any discrete plant."""
+    """Designs a law for the plant of a level, as for any discrete plant. Returns the law and remarks."""
     m, states = held.plant.B.shape[1], problem.states
     if states:
         states = *states, *(f"force_{k + 1}_of_{held.stored_forces}_before" for k in range(held.stored_forces) for _ in range(m))
@@ -215,7 +221,7 @@ def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Pl
 
 
 def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
-    """Returns a law of full order within 0.1 % of the lower bound, or the nearest that was found, with a remark."""
+    """Returns a full-order law within 0.1 % of the lower bound; otherwise the closest law found, with a remark."""
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
@@ -237,7 +243,7 @@ def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound 
 def _design_structured(
     problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float
 ) -> tuple[SampledLaw, str]:
-    """Returns a law of a given order or structure by descent, with a remark."""
+    """Designs a law of a given order or structure by descent. Returns the law and a remark."""
     goal, work = bound.level if bound is not None else 0.0, problem.work or bounded_work(held.plant)
 
     def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
@@ -249,17 +255,17 @@ def _design_structured(
 
 
 def _above(found: SampledLaw, goal: float) -> str:
-    """Returns the distance of a law's norm from a lower bound, in words."""
+    """Returns the distance of a law's norm from the lower bound, as text."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
 
 def _as_run(law: LinearLaw, image: tuple[Plant, Array], period: float) -> LinearLaw:
-    """Returns the discrete law of one for the mapped plant."""
+    """Converts a law for the mapped continuous plant to a discrete law. A discrete law is returned unchanged."""
     return discrete_law(law, *image, period) if law.sample_period is None else law
 
 
 def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[float, float]:
-    """Returns a level at which no law was found, or one known to be too low, and the next above it at which there is a law."""
+    """Returns a level that is too low for a law, and the next higher level, at which there is a law."""
     low, high, level = below, np.inf, start
     for _ in range(LOWEST):
         if _solvable(held.at(level)):
@@ -273,7 +279,7 @@ def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[
 
 
 def _solvable(plant: Plant | None) -> bool:
-    """Returns True if a central law of a level's plant has a norm below one."""
+    """Returns True if the Riccati equations have a law for a level's plant with a norm below one."""
     if plant is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             search = RiccatiSearch(continuous_image(plant)[0], 0.0)
@@ -282,11 +288,11 @@ def _solvable(plant: Plant | None) -> bool:
 
 
 def _static(problem: DesignProblem) -> DesignResult:
-    """Designs a static gain by the two steps, or the first alone if all states are measured, and by descent.
+    """Designs a static gain by the two steps (the first step alone if all states are measured), followed by descent.
 
     Raises:
-        InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
-        TooLargeError: too many forces are delayed at the same time.
+        InfeasibleError: no static gain from the measurements stabilises the loop; the message describes the mode.
+        TooLargeError: the delay stores too many forces.
         DesignError: no gain was found; the message lists what was tried.
     """
     held = problem.sampled
@@ -300,7 +306,7 @@ def _static(problem: DesignProblem) -> DesignResult:
     levels = [problem.near * FAR ** (k + 1) for k in range(FURTHEST)]
     far, slow = next(((each, plant) for each in levels if (plant := held.at(each)) is not None), (levels[-1], None))
     if slow is None:
-        within = f"within {1000.0 * held.period:g} ms without a new force the gain from w is above {far:g}"
+        within = f"within one period of {1000.0 * held.period:g} ms, in which no new force acts, the gain from w exceeds {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
     rows, given = independent_rows(slow), np.hstack([held.plant.Cy, held.plant.Dyu])
     known, work = [from_some(law.D, given, rows) for law in problem.known], problem.work or bounded_work(held.plant)
@@ -323,16 +329,16 @@ def _static(problem: DesignProblem) -> DesignResult:
     return _result(problem, found, bound, method=method, why=why, remarks=remarks, **more)
 
 
-End = tuple[Array, float]  # a gain, shape (m, q), and the norm of its sampled loop
+End = tuple[Array, float]  # gain, shape (m, q), and the norm of its sampled-data loop
 
 
 def lowest(ends: Sequence[End]) -> End:
-    """Returns the first of the ends with the lowest norm."""
+    """Returns the pair of gain and norm with the lowest norm."""
     return min(ends, key=lambda end: end[1])
 
 
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
-    """Descends from a stable K on the plants of falling levels, as `refine` does, until the work is over."""
+    """Descends from a stabilising K on the plants of decreasing levels, as `refine` does, within the limit on the work."""
 
     def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
         return static_law(lower_norm(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
@@ -342,12 +348,12 @@ def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = No
 
 
 def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> End:
-    """The best gain that descent finds, and its norm, infinite where no start is stable.
+    """Returns the best gain that descent finds, and its norm; the norm is infinite if no start is stable.
 
     Args:
-        known: gains to start from, shapes (m, q); the line through the first is searched.
-        near: a guess of the norm.
-        work: counts the norms.
+        known: gains to start from, shapes (m, q). The line through zero and the first gain is searched.
+        near: estimate of the norm.
+        work: counter of the norms that the search evaluates.
     """
     nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
     line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
@@ -361,12 +367,15 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
 
 
 def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
-    """Returns an end, or that of the search of static gains for the plant of one level, where another valley is worth it.
+    """Searches further for a gain in the plant of one level.
 
-    Args:
-        end: gain and norm; the norm is infinite for a gain that does not stabilise the loop.
-        far: a level far above the norm, which has a plant: its norm is nearly proportional to that of the loop.
-        work: counts the norms.
+    Returns it if its norm is at least 0.1 % lower, else the given gain.
+
+     Args:
+        end: the given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
+        far: a level far above the norm for which there is a plant. The norm of this plant is nearly proportional to that of the
+            loop.
+        work: counter of the norms that the search evaluates.
     """
     K, norm = end
     plant, level = held.at(norm) if np.isfinite(norm) else None, norm
@@ -386,15 +395,20 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
 
 
 def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refinement:
-    """Lowers the exact norm from a stabilising gain on all measurements, shape (m, q), as far as it is worth a larger gain.
+    """Lowers the exact norm by descent from a stabilising gain, as far as a larger gain is worthwhile.
+
+    Args:
+        held: the sampled-data problem.
+        K: gain on all measurements, shape (m, q).
+        near: estimate of the norm.
 
     Raises:
-        DesignError: the loop of K is not stable, or a force answers at no level near its norm.
+        DesignError: the loop of K is not stable, or its norm arises within one period, where no force can react.
     """
     before = norm_of(held, K, near)
     plant = held.at(before) if np.isfinite(before) else None
     if plant is None:
-        raise DesignError("a gain whose sampled loop is unstable, or has its norm within one period, cannot be refined")
+        raise DesignError("this gain cannot be refined: its sampled loop is unstable, or its norm arises within one period")
     rows = independent_rows(plant)
     few = held.of(rows)
     start = from_some(K, np.hstack([held.plant.Cy, held.plant.Dyu]), rows)
@@ -410,11 +424,11 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
 def _gain(
     held: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
 ) -> tuple[Array, float, float | None, str]:
-    """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not.
+    """Returns K for independent measurements, its norm, its level, and the reason if the two steps were not used.
 
     Args:
-        far: a level far above the norm, which has a plant.
-        work: counts the norms of the search.
+        far: a level far above the norm for which there is a plant.
+        work: counter of the norms that the search evaluates.
     """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(held, rms=None)
@@ -456,18 +470,18 @@ def _gain(
         tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
         raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
     why += f"; {work.text}" if work.over else ""
-    # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
+    # The ninth digit of a norm depends on the estimate from which it is computed; the result uses the estimate `near`.
     return moved, norm_of(held, moved, near), None, why
 
 
 def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if a norm is next to what no control force changes."""
+    """Returns True if a norm is close to the lower bound that no control force can change."""
     plant = held.at(norm * (1 - WORTHWHILE_GAIN))
     return plant is None or bound_beyond_control(plant).gamma >= 1
 
 
 def _may_fall(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if no lower bound is known that a norm is within 1 % of, and the loop is of few states."""
+    """Returns True if the norm may be lowered: no lower bound within 1 % is known, and the loop has few states."""
     if len(held.rows[0]) > LARGEST_BOUNDED:
         return False
     plant = held.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
@@ -479,15 +493,16 @@ def _may_fall(held: SampledDataProblem, norm: float) -> bool:
 
 
 def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
-    """Returns K by the two steps, which know no noise, and its level.
+    """Designs K by the two steps, which ignore noise. Returns K and its level.
 
     Args:
-        held: problem without noise, with independent measurements.
+        held: sampled-data problem without noise, with independent measurements.
         near: a level to start from.
-        undelayed: a gain without delay, shape (m, q): L (14) is also chosen so that delayed forces follow it.
+        undelayed: gain of a design without delay, shape (m, q). If it is given, a second L (14) is tried, with which the
+            delayed forces follow this gain.
 
     Raises:
-        DesignError: a step has no solution, or a path could not be followed.
+        DesignError: one of the steps has no solution, or a central path could not be followed.
     """
     rows, (n, m) = held.rows, held.plant.B.shape
     size = n + m * held.stored_forces
@@ -520,12 +535,12 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
 
 
 def _follows(X: Array, rows: Array) -> Array:
-    """Returns R (9) with the L (14) of an X, an estimate of the states from the measurements, shape (n, q)."""
+    """Returns R (9) with the L (14) of a given X, shape (n, q). R y estimates the states from the measurements."""
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
 def _second(plant: Plant, R: Array) -> CentralPoint:
-    """The second step (25) with an R, of which C_y R = I."""
+    """Solves the second step (25) with a given R that fulfils C_y R = I."""
     units = own_units(plant, measured=True)
     basis, measured = units.rows(plant.Cy)
     own = units.into(plant).measured(basis)
@@ -537,10 +552,10 @@ def _second(plant: Plant, R: Array) -> CentralPoint:
 def _level(
     problem: SampledDataProblem, path: Callable[[Plant], list[CentralPoint]], start: float
 ) -> tuple[float, list[CentralPoint]]:
-    """The level for whose plant a path ends at a norm of 1, and that path.
+    """Returns the level at which the central path of its plant ends at a norm of 1, and this path.
 
-    Where it ends below 1 at every level above what happens within one period, that is the level. What has no solution at a level
-    far above has none below.
+    If the path ends below 1 at every level above the norm that arises within one period, this norm is the level. If a problem
+    has no solution at a level far above, it has none at lower levels.
     """
     below, above, level, grow = 0.0, math.inf, start, GROW
     seen = list[tuple[float, float]]()
@@ -562,7 +577,7 @@ def _level(
                     path(loosest)
                 except (NoSolutionError, InfeasibleError):
                     raise
-                except DesignError:  # rounding, which says nothing of the levels between
+                except DesignError:  # a rounding error, which proves nothing about the levels below
                     pass
             below = max(below, level)
             if level > FAR * start:
@@ -578,7 +593,7 @@ def _level(
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
             guesses = (_crossing_level(seen[-count:]) for count in (3, 2, 1))
-            # With one end alone the last guess, of one pair, lies beyond it.
+            # If the level is bounded from one side only, the last guess, from one pair, lies beyond this bound.
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
@@ -588,9 +603,9 @@ def _level(
 
 
 def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
-    """Returns the level where the norm is 1, by a polynomial of log level over log norm; NaN without a slope.
+    """Returns the level at which the norm is 1, by a polynomial of log level over log norm; NaN if there is no slope.
 
-    For a single pair the norm is assumed to fall as the level rises.
+    For a single pair, the norm is assumed to be inversely proportional to the level.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

@@ -1,17 +1,17 @@
 """Static output-feedback design by multi-start descent on the H-infinity norm.
 
-The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. It cannot
-guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
+The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. The search
+cannot guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
 
-- Many starts (`descent/starts.py`): no control, samples of every size, stabilising gains if few samples are stable, and the
-  refined result of the paper's two steps. All of them descend for a few rounds, the best of these for more rounds, and the best
-  of all until it converges. The descent (`descent/minimax.py`) uses edges and curvature, in coordinates in which all directions
-  have similar effect.
-- Further descents from the surroundings of the best.
+- Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
+  two steps. If few random gains are stable, stabilising gains are added. All of these descend for a few rounds. The best ones
+  descend for more rounds, and the best one of all descends until it converges. The descent (`descent/minimax.py`) handles the
+  edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that all directions have a similar effect.
+- Further descents that start near the best gain.
 
-A result is never replaced by a worse one, so the norm is at most that of the refined two steps, and that without control. If
-several gains have the same norm, the search returns the smallest multiple. All samples have fixed seeds, so the same plant always
-gives the same gain.
+A result is never replaced by a worse one. The norm is therefore at most that of the refined two steps, and at most that without
+control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All random gains have
+fixed seeds, so the same plant always gives the same gain.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,30 +35,35 @@ from synth.plant.generalized import Plant, check_inputs
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
-ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
-FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
-LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
-ALL = 100  # starts; there are never so many
-# Rounds of descent, from how many of the best starts, and the share of a rival's norm above which the search ends.
+# decades of gain magnitude with a stable random gain; from this number on, a few stabilising starts are enough
+ENOUGH_SAMPLES = 4
+# number of stabilising starts: if random gains suffice, if they do not, and if no start is stable yet
+FEW, MANY, MOST = 2, 6, 18
+LARGE = 30  # number of states above which stabilising starts, which take minutes, are used only if no other start is stable
+ALL = 100  # an upper limit on the number of starts that is never reached
+# Each row: rounds of descent, number of the best starts that descend, and the multiple of `rival` above which the search ends.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
-LAST_ROUNDS = 1200  # rounds of the last descent; a large plant, whose rounds take long, has fewer
-AGAINST = 3  # starts against a rival
-MOST_STARTS = 8  # starts of a plant of `LARGE` states; a larger plant has fewer, so that all cost the same
-SAME = 1e-4  # relative; two descents that end this close have found the same minimum
-BOUND_TOLERANCE = 1e-4  # relative; this close to what no controller beats, the search ends
-NEAR = 1e-3  # relative; how far above that a state feedback begins: the nearer its norm, the larger its gain
-ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
-SURROUNDINGS = (0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
-AROUND = 60  # rounds of each of these descents
-EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
-SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
-DIFFERENT_STARTS = 3  # until so many in a row have another,
-HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
-LIMIT = 3e4  # norms of loops of 8 states: 7 to 18 s of processor time
+LAST_ROUNDS = 1200  # rounds of the last descent; fewer for a large plant, whose rounds take longer
+AGAINST = 3  # number of starts if a rival norm is given
+# number of starts of a plant with `LARGE` states; a larger plant gets fewer, so that the total work is the same
+MOST_STARTS = 8
+SAME = 1e-4  # relative; two descents whose norms differ by less have found the same minimum
+BOUND_TOLERANCE = 1e-4  # relative; the search ends if the norm is this close to the lower bound
+# relative to the lower bound; norm of the state feedback to start from: the smaller this distance, the larger its gain
+NEAR = 1e-3
+ZERO = 1e-9  # relative to the plant's matrices; a smaller norm counts as zero
+SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
+AROUND = 60  # rounds of each descent that starts near the best gain
+# relative; two norms that differ by less are equal, because the two methods of computing the norm round differently
+EQUAL = 1e-9
+SHARES = tuple(0.5**k for k in range(1, 41))  # multiples of a gain that are tried for the same norm
+DIFFERENT_STARTS = 3  # number of multiples in a row with a different norm after which the trials end
+HALVINGS = 10  # bisections for the smallest multiple with the same norm, to a thousandth
+LIMIT = 3e4  # evaluations of the norm for closed loops of 8 states: 7 to 18 s of processor time
 
 
 class Candidate(NamedTuple):
-    """A stable point, its norm, and the start that led to it."""
+    """A point whose loop is stable, its norm, and the start that led to it."""
 
     x: Array
     norm: float
@@ -66,7 +71,7 @@ class Candidate(NamedTuple):
 
 
 def bounded_work(plant: Plant) -> Work:
-    """Returns the work that the search for one controller of a plant may do; more for plants of more than 8 states."""
+    """Returns the limit on the work of a search for one controller of a plant. Plants of more than 8 states get more."""
     return Work(LIMIT * max(1.0, price(len(plant.A), 0)))
 
 
@@ -79,18 +84,24 @@ def static_output_feedback(
     Dyw: Array | None = None,
     rival: float = np.inf,
 ) -> DesignResult:
-    """The best static gain that the search finds, no entry larger than `largest_gain`.
+    """Searches for the static gain with the smallest H-infinity norm whose entries are at most `largest_gain`.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n), the plant's own if it is not given; rows that follow from others get a gain of zero.
-        largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
-            this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
-            units one may end in another valley; what is proved of either is true.)
-        lower_bound: lower bound on the norm of any such controller: ends the search early, and is part of the certificate.
-        Dyw: shape (q, r), for y = C_y x + Dyw w; zero where it is not given. The two steps know no noise, and are where one
-            descent starts.
-        rival: a norm that is reached otherwise; a gain that stays far above it is not followed further. Infinite without one.
+        plant: generalised plant with n states and m inputs.
+        Cy: measurement matrix, shape (q, n); that of the plant by default. A row that depends linearly on other rows gets a
+            gain of zero.
+        largest_gain: bound on |K_ij|, in the units of the plant. The bound keeps the gain finite if the norm falls without
+            limit towards infinite gains. The search works in balanced coordinates, but a change of units changes this bound and
+            may lead to another local minimum.
+        lower_bound: lower bound on the norm of every such controller. The search ends early if it comes close to this bound,
+            and the certificate contains the bound.
+        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). By default zero, or that of the plant if
+            Cy is not given. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting points.
+        rival: norm that another design reaches. The search ends early for gains that stay far above this norm. The default,
+            infinity, means that there is no other design.
+
+    Returns:
+        The law u = K y with K of shape (m, q), its certificate, and the start that led to it.
 
     Raises:
         InputError: the plant has no state, or a matrix does not fit it.
@@ -127,13 +138,17 @@ def design_by_descent(
     limits: Sequence[float] = (np.inf,),
     work: Work | None = None,
 ) -> list[DesignResult]:
-    """Designs static gains by descents within one limit after the other, until poles are not beyond any actuator.
+    """Designs static gains by descent, with one limit after the other, until the poles are slow enough for an actuator.
 
     Args:
         plant, largest_gain, lower_bound, rival: arguments of `static_output_feedback`.
         two_steps: result of the two steps, or the reason why they found no gain.
-        limits: bounds on the entries of a gain in the landscape's units, in which 1 moves poles as fast as the plant's.
-        work: counts the norms of all searches; each has its own `bounded_work` if it is not given.
+        limits: bounds on the entries of the gain in the units of `Landscape`. In these units, a gain of 1 moves poles about as
+            fast as the plant's.
+        work: counter of the norms that all searches evaluate together; by default, each search has its own `bounded_work`.
+
+    Returns:
+        One design per limit that was tried.
     """
     steps, instead = (two_steps, "") if isinstance(two_steps, DesignResult) else (None, two_steps)
     ends = list[DesignResult]()
@@ -158,7 +173,7 @@ def design_by_descent(
 
 
 class GainSearch:
-    """The search for one plant, and for one structure of its gain."""
+    """Search for a static gain of one plant, optionally with a structure of the gain."""
 
     def __init__(
         self,
@@ -172,13 +187,14 @@ class GainSearch:
         work: Work | None = None,
     ) -> None:
         """Args:
-        largest_gain: bound on |K_ij|, in the units given.
-        lower_bound: lower bound for controllers of this kind; 0 for none.
+        largest_gain: bound on |K_ij|, in the units of the plant.
+        lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
         structure: argument of `Landscape`.
-        alike: returns the point whose entries count for the limit, among the points of gains that make the same loop.
-        enough: relative; this close to what no controller beats, the search ends.
+        alike: function that returns an equivalent point, with the same closed loop, whose entries are compared with the limit.
+        enough: relative distance to the lower bound at which the search ends.
         rival: argument of `static_output_feedback`.
-        work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
+        work: counter of the norms that the search evaluates. A descent ends if its limit is exceeded. By default there is no
+            limit.
         """
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)
@@ -188,17 +204,20 @@ class GainSearch:
         self.enough = max(lower_bound * (1 + enough), self.nothing)
 
     def refined(self, two_steps: DesignResult) -> list[Candidate]:
-        """The two steps, refined where they are near the rival."""
+        """Returns the result of the two steps, refined by a descent if its norm is near the rival's."""
         if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * HEATS[0][2]:
             return self.feasible_candidates(self.landscape.point(two_steps.gain), "the two steps")
         try:
             gain = refine(self.plant, None, two_steps.gain).gain
-        except DesignError:  # stable by its proof, but for the landscape's rounding not
+        except DesignError:  # stable by its proof, but not stable with the rounding errors of the landscape
             return []
         return self.feasible_candidates(self.landscape.point(gain), "the two steps, refined")
 
     def starts(self, most: int = MOST) -> list[Candidate]:
-        """Returns stable points of many sizes; if there are none, the results of a limited number of stabilising starts."""
+        """Returns stable points of many magnitudes.
+
+        If there are none, it returns the results of a limited number of stabilising starts.
+        """
         sampled = survey(self.landscape, self.limit)
         candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")
         for x in state_feedback_start(self.landscape, (1 + NEAR) * self.enough):
@@ -222,15 +241,15 @@ class GainSearch:
             numbers = range(numbers.stop, most)
 
     def feasible_candidates(self, x: Array, origin: str) -> list[Candidate]:
-        """A candidate, if the point is stable within the limit."""
+        """Returns the point, clipped to the limit, as a list of one candidate; an empty list if its loop is not stable."""
         x = np.clip(self.alike(self.landscape, x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
 
     def smallest(self, best: Candidate) -> Array:
-        """The smallest multiple of a candidate's gain whose loop has the same norm, to a thousandth, shape (m, q).
+        """Returns the smallest multiple, to a thousandth, of a candidate's gain with the same norm, shape (m, q).
 
-        The landscape loses digits where a gain is huge, and does not decide it.
+        The norm is evaluated without `Landscape`, which loses digits if a gain is huge.
         """
         K = self.landscape.gain(best.x)
         most = max(own_norm(self.plant, K) * (1 + EQUAL), self.nothing)
@@ -248,7 +267,7 @@ class GainSearch:
         return least * K
 
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
-        """Returns the best of the candidates after descents of several lengths, the longest from the best ends alone."""
+        """Returns the best candidate by successive halving: all descend briefly, and only the best of them descend further."""
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
         most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(MOST_STARTS * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:
@@ -264,7 +283,7 @@ class GainSearch:
         return best[0]
 
     def best(self, candidates: list[Candidate]) -> Candidate:
-        """Returns the best end of the descents from the candidates, and from the surroundings of the best."""
+        """Returns the best result of the descents from the candidates and from points near the best one."""
         n, best = len(self.plant.A), self.successive_halving(candidates)
         if best.norm > self.rival * HEATS[-1][2]:
             return best
@@ -279,15 +298,15 @@ class GainSearch:
         return best
 
     def step(self, candidate: Candidate, rounds: int) -> Candidate:
-        """Returns a candidate after a descent, or the candidate itself if the norm did not decrease."""
+        """Returns the result of a descent from a candidate, or the candidate itself if the norm did not decrease."""
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []
-        with up_to_rounding():  # of a loop on the border of stability
+        with up_to_rounding():  # rounding errors may end the descent of a loop near the stability limit
             x, _ = descend_norm(self.landscape, candidate.x, self.limit, rounds, self.enough)
             moved = self.feasible_candidates(x, candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)
 
     def reached(self, candidate: Candidate) -> bool:
-        """Returns True if a candidate is close enough to the lower bound, or next to zero."""
+        """Returns True if a candidate's norm is close enough to the lower bound, or counts as zero."""
         return candidate.norm <= self.enough

@@ -2,14 +2,15 @@
 
     x' = A x + B u + Bw w,    z = C x + D u + Dw w,    y = C_y x        (15), Dw = 0 in the paper
 
-Step 1 is state feedback u = G_s x: it maximises eta subject to an LMI in X and Y. For u = K y, X and Y must also fulfil
-Y X^-1 = K C_y (8), which is not convex. Step 2 therefore maximises eta over the X and Y of the form (12) alone. Each of these
-pairs has a K, and they are a convex set for every matrix L. With L (14), the X of step 1 is of the form (12). The optimum of
-either step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a solver nor on units.
+Step 1 designs a state feedback u = G_s x: it maximises eta = norm^-2 subject to an LMI in X and Y. For u = K y, X and Y must
+also fulfil Y X^-1 = K C_y (8), which is not convex. Step 2 therefore maximises eta only over the X and Y of the form (12).
+These pairs form a convex set for every matrix L, and each pair gives a gain K. With L from (14), the X of step 1 has the form
+(12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a solver
+nor on units.
 
 The functions before `well_posed` are the paper's formulas. The functions after it choose independent measurements and units. If
-step 2 has no solution for the X at the limit, they take X from an earlier point of the path. `synth.design.degenerate` treats
-plants whose problem (22) has no optimum.
+step 2 has no solution for the optimal X of step 1, they take X from an earlier point of the central path.
+`synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
 import contextlib
@@ -36,12 +37,12 @@ from synth.plant.units import independent, own_units, unit_rows
 if TYPE_CHECKING:
     pass
 
-MOST = 1100  # unknowns of step 1, 45 states with one input: the second problem is solved from several X, in a minute or less
+MOST = 1100  # unknowns of step 1 (45 states with one input); step 2 is then solved from several X within about a minute
 SAME = 1e-9  # relative distance up to which a state gain G counts as K C_y
 
 
 def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
-    """Returns the central path of (22). The K of its last point is the gain G_s of the least norm.
+    """Returns the central path of (22). The K of its last point is the state gain G_s with the smallest norm.
 
     Args:
         mu: path parameter, see `central_path`.
@@ -50,8 +51,8 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
         NoSolutionError: no state feedback moves every mode by more than rounding.
     """
     n = len(plant.A)
-    # Of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22)
-    # Then u = G_s x (1), with G_s = Y X^-1 (3), and the norm is eta^-1/2 (23).
+    # State feedback as a problem of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22) Then u = G_s x (1),
+    # with G_s = Y X^-1 (3), and the norm is eta^-1/2 (23).
     return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
 
 
@@ -102,9 +103,9 @@ def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
     """
     R = r_matrix(plant.Cy, Q, L)
     try:
-        # The problem (7) for all X and Y with Y X^-1 = K C_y (8) is not convex. Its restriction (10) to X = Q X_Q Q' + R X_R R'
-        # and Y = Y_R R' (12), by (11), is:  max eta  subject to  F(X_Q, X_R, Y_R, eta) < 0,  X_Q > 0,  X_R > 0.  (25)
-        # Then Y X^-1 = K C_y with K = Y_R X_R^-1 (13), and the norm is at most eta^-1/2 (26).
+        # Problem (7), over all X and Y with Y X^-1 = K C_y (8), is not convex. With X = Q X_Q Q' + R X_R R' and Y = Y_R R'
+        # (12), equation (11) gives the restricted problem (10):  max eta  subject to  F(X_Q, X_R, Y_R, eta) < 0,  X_Q > 0,  X_R
+        # > 0.  (25) Then Y X^-1 = K C_y with K = Y_R X_R^-1 (13), and the norm is at most eta^-1/2 (26).
         return central_path(plant, Q, R)
     except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
@@ -112,17 +113,17 @@ def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
 
 
 def independent_rows(plant: Plant) -> list[int]:
-    """Returns the indices of rows of C_y that are linearly independent of earlier ones, ascending; (9) needs full row rank.
+    """Returns the indices of rows of C_y that are linearly independent of earlier rows, ascending.
 
-    The states are scaled by `own_units` and the rows to length one, so that the result does not depend on units. No row may be
-    zero.
+    Equation (9) needs full row rank. The states are scaled by `own_units`, and each row is scaled to length one, so the result
+    does not depend on units. No row may be zero.
     """
     return independent(plant.Cy * own_units(plant, measured=True).states)
 
 
 @functools.lru_cache(maxsize=2)  # both steps of a design call this function, and plants do not change
 def well_posed(plant: Plant) -> WellPosedProblem:
-    """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units.
+    """Returns problem (22) of a plant; if it is degenerate, a regularised problem. The result does not depend on units.
 
     Raises:
         InputError: the plant has no state.
@@ -143,18 +144,20 @@ NO_GAIN = "no static gain found"
 
 
 def no_gain(tried: str, more: str = "") -> str:
-    """Returns a message for a search that found no stabilising static gain: what to do, then what was tried."""
+    """Returns a message for a search without a stabilising static gain: first advice, then what was tried."""
     return f'{NO_GAIN}; measure more signals, {more}or give order = "full", a law with states (tried: {tried})'
 
 
 @numerics()
 def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """Returns the central path of (22), or of a regularised problem if (22) has no optimum, in the units of the given plant.
+    """Returns the central path of (22) in the units of the given plant.
+
+    If (22) has no optimum, a regularised problem replaces it.
 
     Raises:
-        InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: there is no path, for example because z does not see an integrator or a force costs nothing, or the path
-            could not be followed; the message gives the reason.
+        InfeasibleError: the plant cannot be stabilised; the message describes the mode.
+        DesignError: there is no central path, or the path could not be followed; the message gives the reason. For example, z
+            does not contain an integrator, or a control force has no weight.
     """
     problem, plant = well_posed(plant), plant.unmeasured
     own = own_units(plant)
@@ -174,14 +177,14 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
 
 @numerics()
 def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: KnownBound = None) -> DesignResult:
-    """Returns the state feedback, the optimum of (22).
+    """Designs the state feedback with the smallest norm, the optimum of (22).
 
     Args:
-        path: path of `state_path`, if known.
-        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
+        path: central path from `state_path`; computed if empty.
+        lower_bound: lower bound on the norm of every state feedback, for the certificate.
 
     Raises:
-        InfeasibleError, DesignError: errors of `state_path`, or no certificate holds.
+        InfeasibleError, DesignError: errors of `state_path`; also DesignError if no certificate holds.
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
@@ -192,10 +195,10 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
 
 
 def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: KnownBound = None) -> DesignResult:
-    """Returns the gain furthest along a central path whose certificate holds and whose loop is not too fast for actuators.
+    """Returns the gain furthest along a central path whose certificate holds and whose loop is slow enough for actuators.
 
-    If all certified loops are too fast, as for a plant that hardly moves by itself, the slowest of these loops is the reference
-    for the speed instead of the plant.
+    All certified loops may be too fast compared with the plant, for example if the plant hardly moves without control. The
+    slowest of these loops then replaces the plant as the reference for the speed.
 
     Raises:
         DesignError: no certificate holds.
@@ -205,7 +208,8 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     for i in reversed(range(len(path))):
         point = path[i]
         X = point.X if point.proof is None else point.proof
-        # y = C_y x (4), u = K y (5), G = K C_y (6); the norm of the certificate is that of (27), by two routes.
+        # Here y = C_y x (4), u = K y (5) and G = K C_y (6). The norm in the certificate is that of (27), computed by two
+        # methods.
         certificate = certify(plant, Feedback(point.K, plant.Cy), X, point.eta, lower_bound)
         if not certificate.loop_failures:
             before = path[max(i - 1, 0)].K
@@ -222,7 +226,8 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
         raise DesignError("its certificate fails: the path has no point")
     from synth.analysis.bounding import certify_tightly
 
-    # The X of the path may be too close to singular for a proof in floating point, as for 40 states. Another X may prove a bound.
+    # The X of the path may be too close to singular for a proof in floating point, for example with 40 states. Another X may
+    # still prove a bound.
     another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return _result(path[-1].K, another)
@@ -237,24 +242,29 @@ def two_step_design(
     lower_bound: KnownBound = None,
     states: Sequence[str] = (),
 ) -> DesignResult:
-    """Returns the static gain of the paper's two steps, with its certificate: L (14) from the X of (22), then (25).
+    """Designs the static gain of the paper's two steps: X from (22) gives L (14), then (25) gives the gain.
 
-    The second problem (25) can be infeasible for the optimal X, and feasible for the X of an earlier point of the central path.
-    Then the last such point gives X. The plant is first scaled to own units, so that the result does not depend on given units.
+    Adds its certificate. The second problem (25) can be infeasible for the optimal X, and feasible for the X of an earlier
+    point of the central path. In this case, X is taken from the last such point. The plant is first scaled to internal units,
+    so that the result does not depend on the units of the plant.
 
     Args:
-        plant: n states, m inputs.
-        Cy: measurements y = C_y x, shape (q, n); the plant's own by default. The result lists rows that depend on others.
+        plant: generalised plant with n states and m inputs.
+        Cy: measurements y = C_y x, shape (q, n); those of the plant by default. Rows that depend linearly on other rows get a
+            gain of zero.
         path: the central path of (22); computed if empty.
-        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
+        lower_bound: lower bound on the norm of every controller from these measurements, for the certificate.
         states: names of the states, for messages.
+
+    Returns:
+        The law u = K y with K of shape (m, q), and its certificate. `redundant` contains the indices of dependent rows of C_y.
 
     Raises:
         InputError: C_y does not fit the plant, or is empty.
-        InfeasibleError: no static gain from y stabilises the plant; the message names the mode.
-        TooLargeError: (22) has more than MOST unknowns.
-        DesignError: (25) has no solution from any X tried, from some X a path broke off, or no certificate holds; there may be
-            a gain nevertheless.
+        InfeasibleError: no static gain from y stabilises the plant; the message describes the mode.
+        TooLargeError: (22) has more than 1100 unknowns (45 states with one input).
+        DesignError: (25) has no solution from any X tried, a central path broke off, or no certificate holds. A stabilising
+            gain may exist nevertheless.
 
     Example:
         >>> from synth import GeneralizedPlant, two_step_design
@@ -302,13 +312,13 @@ def two_step_design(
     if reasons := "; ".join(stabilisability_failures(plant, states) or static_feedback_obstructions(plant)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, NoSolutionError)]
-    first, *_ = [*broken, *failures]  # a path that broke off leaves open whether the second problem has a solution
+    first, *_ = [*broken, *failures]  # after a path that broke off, it is unknown whether the second problem has a solution
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
 @numerics()
 def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
-    """Returns the static gain of (25) with L = 0, in one step (remark 4).
+    """Designs the static gain of (25) with L = 0, without the first step (remark 4 of the paper).
 
     Raises:
         NoSolutionError: (25) has no solution with L = 0.
@@ -325,7 +335,7 @@ def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
 
 
 def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
-    """Returns a plant that measures y = C_y x alone, the same with independent rows, and the indices of these rows."""
+    """Returns the plant with y = C_y x without noise, the same with independent rows of C_y, and the indices of these rows."""
     check_inputs(plant)
     plant = plant.measured(plant.Cy)
     kept = independent_rows(plant)
@@ -333,24 +343,24 @@ def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
 
 
 def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state_step_gap: float) -> DesignResult:
-    """Returns a design from some of q measurements as a design from all q, with a gain of zero for the others."""
+    """Converts a design for some of q measurements to a design for all q. The gain of the others is zero."""
     law = unchecked_static_law(on_all_rows(design.gain, kept, q))
     redundant = tuple(i for i in range(q) if i not in kept)
     return replace(design, law=law, state_step_gap=state_step_gap, redundant=redundant)
 
 
 def _result(gain: Array, certificate: Certificate, **more: Any) -> DesignResult:
-    """Returns the result of a gain."""
+    """Returns the design result of a gain."""
     return DesignResult(unchecked_static_law(gain), certificate, TWO_STEPS, **more)
 
 
 def two_steps(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by the two steps."""
+    """Designs a static gain by the paper's two steps."""
     return two_step_design(problem.plant, None, problem.path(), problem.lower_bound, problem.states)
 
 
 def state(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs the state feedback, of a plant whose measurements are its states."""
+    """Designs the state feedback of a plant that measures all its states."""
     return state_design(problem.plant, problem.path(), problem.lower_bound)
 
 
@@ -360,11 +370,14 @@ def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def check_stabilisable(plant: Plant, states: Sequence[str] = ()) -> None:
-    """Raises an InfeasibleError if a single mode, or the poles' sum or product, keeps every static gain from stabilising."""
+    """Raises an InfeasibleError if there is a proof that no static gain stabilises the plant.
+
+    The proof uses a single mode, or the sum or the product of the poles.
+    """
     from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 
     reasons = list[str]()
-    with contextlib.suppress(InputError):  # units in which an entry is too large: nothing is known against a gain
+    with contextlib.suppress(InputError):  # an entry is too large in its units, so that this check proves nothing
         reasons = stabilisability_failures(plant, states) or static_feedback_obstructions(plant)
     if reasons:
         raise InfeasibleError("; ".join(reasons))

@@ -1,6 +1,7 @@
-"""Driver that runs exported code: it reads the signals, sets the actuators, and computes everything in between.
+"""Driver for exported code. The code receives the measurements and computes the commands of the actuators.
 
-Quantisation, delay, limits and anti-windup of the controller are in the code. Sensor noise is added before the code reads.
+Quantisation, delay, limits and anti-windup of the controller are part of the code. Sensor noise is added to the measurements
+before the code.
 """
 
 from collections.abc import Sequence
@@ -19,21 +20,21 @@ from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
 
-NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
+NEARLY = 1 - 1e-6  # share of a limit that counts as reached, because the limit is smaller after rounding to float
 
 
 class CodeDriver:
-    """Exported code of N runs, each with a state of its own.
+    """Exported code of N runs, each with its own state.
 
-    The code gives commands. The forces that its limits and the dampers cut off are computed by our own law, from the same
-    measurements and the code's states, so that they are recorded like those of the law.
+    The code gives the commands. The forces that limits and dampers cut off come from the law itself, from the same measurements
+    and the states of the code. These lost forces are recorded as in a run with the law.
     """
 
     ahead = 0
     requests: Request = "commands"
 
     def __init__(self, controllers: Sequence[Controller | SemiActive], *_: object) -> None:
-        """Takes N controllers with the same code, of their own vehicles."""
+        """Takes N controllers that have the same code, for their own vehicles."""
         self._controllers = controllers
         self._codes: list[ExportedCode] = [one.code for one in controllers]
         self._law, own = self._codes[0].law, controllers[0].law_key[0]
@@ -44,7 +45,7 @@ class CodeDriver:
         """See `sim.drive.driver.Driver.start`.
 
         Raises:
-            InputError: the code is of another law, sample period or vehicle than a run.
+            InputError: the code belongs to another law, sample period or vehicle than the run.
         """
         law, q, first = self._law, self._law.readings, vehicles[0]
         for one, code, vehicle in zip(self._controllers, self._codes, vehicles, strict=True):
@@ -60,12 +61,12 @@ class CodeDriver:
 
             self.measured = (*self.measured, *closing_names(first))
             self._range = range_of(vehicles)
-        self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])  # the code reads velocities of extension
+        self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])  # the code expects velocities of extension
         if self._semi_active is not None:
             self._semi_active.start(vehicles, timestep)
         self._limiter, self._given = command_limiter(vehicles, timestep), np.zeros_like(self._nominal)
         size = len(law.outputs) * (1 if self._range is None else 2)
-        self._late = [np.zeros((len(vehicles), size))] * law.delay  # commands of our law that are not due yet
+        self._late = [np.zeros((len(vehicles), size))] * law.delay  # commands of the law that are still delayed
         return np.zeros((len(vehicles), law.states))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
@@ -90,7 +91,7 @@ class CodeDriver:
         return np.where(np.abs(given) >= NEARLY * most, ours, given), after
 
     def _ours(self, y: Array, state: Array) -> Array:
-        """Returns the commands of our law, shape (N, m) or (N, 2 m), from measurements and the code's states."""
+        """Returns the commands of the law, shape (N, m) or (N, 2 m), from measurements and the states of the code."""
         law, q = self._law, self._law.readings
         step = np.where(law.resolution > 0, law.resolution, 1.0)
         seen, closing = np.where(law.resolution > 0, step * np.round(y[:, :q] / step), y[:, :q]), y[:, q:]

@@ -1,4 +1,4 @@
-"""Driver of linear laws."""
+"""Driver for linear control laws."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,11 +16,11 @@ from synth.controller.controller import Controller
 if TYPE_CHECKING:
     from models.parts.damper_range import CoefficientRange
 
-IN_ORDER = 8  # terms from which numpy adds pairs first
+IN_ORDER = 8  # number of terms from which numpy's sum adds pairs first
 
 
 class LinearDriver:
-    """Linear laws with their anti-windup, and their forces from the road ahead."""
+    """Linear laws of N runs with their anti-windup, and their forces from the road ahead."""
 
     ahead = 0
     requests: Request = "forces"
@@ -57,7 +57,7 @@ class LinearDriver:
                 FEATURES.load("damper ranges").range_of(vehicles, most),
                 command_limiter(vehicles, timestep),
             )
-            self._given = np.zeros((count, m))  # commands of the last sample, under a rate limit
+            self._given = np.zeros((count, m))  # commands of the last sample, for a rate limit
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)
         self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))
@@ -69,9 +69,9 @@ class LinearDriver:
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         m, q = self._forces, len(self._gain)
-        # Zeros for the measurements of other controllers do not change the rounding.
+        # Measurements of other controllers are multiplied by zero, which does not change the rounding.
         products = self._gain * y.T[:q, :, None]
-        # numpy adds few terms one after the other, whatever the number of runs; of many terms it may change the order.
+        # numpy adds a few terms one after the other for any number of runs. For more terms, it may change the order.
         computed = np.add.reduce(products, axis=0) if q < IN_ORDER else sum(products, start=np.zeros(products.shape[1:]))
         if state.shape[1]:
             computed += np.matvec(self._memory, state)

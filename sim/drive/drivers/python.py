@@ -1,4 +1,4 @@
-"""Driver of laws in Python and FMUs, and of a user's own drivers."""
+"""Driver for Python control laws, for FMUs, and for a user's own drivers."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -15,37 +15,37 @@ from sim.drive.driver import Driver, Failure, Request
 if TYPE_CHECKING:
     from models.laws.python_runtime import FileRuns, LawRuns
 
-WILD = 1e8  # largest measurement, in SI units: beyond it the run has diverged, and its law is no longer called
+WILD = 1e8  # largest measurement, in SI units; beyond it, the run has diverged, and its law is no longer called
 
 
 def in_python(controllers: Sequence[PythonController], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:
-    """Returns the driver of a law in Python: the user's own, if the law is one."""
+    """Returns the driver of a Python control law; the law itself if it is a driver."""
     law = controllers[0]
     return law.function if is_driver(law.function) else PythonDriver(law, failures, numbers)
 
 
 class PythonDriver:
-    """Law in Python, or FMU, of N runs with a state each; a vectorised law serves all its runs at once."""
+    """Python control law or FMU of N runs, each with its own state. A vectorised law serves all its runs in one call."""
 
     requests: Request = "forces"
 
     ahead = 0
 
     def __init__(self, controller: PythonController, failures: dict[int, Failure] | None, numbers: Sequence[int]) -> None:
-        """Takes the controller.
+        """Takes the controller of the runs.
 
         Args:
-            failures: receives failures, whose runs go on without forces, or None to raise them.
+            failures: dictionary that receives failures, whose runs continue without forces; None to raise them.
             numbers: keys of the N runs in `failures`.
         """
         self._controller, self._failures, self._numbers = controller, failures, numbers
         self.measured = controller.measured
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """Executes the law's file for each run. See `Driver.start`.
+        """Executes the file of the law for each run. See `Driver.start`.
 
         Raises:
-            InputError: a law fails, and failures are not collected; so does `step`.
+            InputError: a law fails, and failures are not collected. `step` raises the same error.
         """
         from models.laws.python_runtime import runs_of
 
@@ -80,7 +80,7 @@ class PythonDriver:
         return forces, state
 
     def _failed(self, error: InputError, runs: Sequence[int], together: bool = False) -> None:
-        """Records that the law of these runs has failed, or raises the error if failures are not collected."""
+        """Records that the law of given runs has failed, or raises the error if failures are not collected."""
         if self._failures is None:
             raise error
         self._gone[runs] = True

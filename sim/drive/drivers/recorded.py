@@ -1,4 +1,4 @@
-"""Driver of known commands."""
+"""Driver for commands that are known in advance."""
 
 from collections.abc import Sequence
 

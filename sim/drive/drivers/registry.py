@@ -1,4 +1,4 @@
-"""The drivers by name: the class or function of each, in a file of its own, makes the driver of some controllers."""
+"""Drivers by name. A class or function in its own file makes the driver of given controllers."""
 
 from collections.abc import Sequence
 
@@ -12,14 +12,15 @@ def driver_of(
     failures: dict[int, Failure] | None = None,
     numbers: Sequence[int] = (),
 ) -> Driver:
-    """Returns the driver of N controllers whose `driver_key` is equal.
+    """Returns the driver of N controllers with the same `driver_key`.
 
     Args:
-        name: name of another driver than that of the controllers.
-        failures: receives the failures of laws in Python, whose runs go on without forces; None to raise them.
+        name: name of a driver to use instead of the controllers' own.
+        failures: dictionary that receives the failures of Python control laws, whose runs continue without forces; None to
+            raise them.
         numbers: keys of the N runs in `failures`.
 
     Raises:
-        InputError: no such driver is registered.
+        InputError: there is no driver with this name.
     """
     return DRIVERS.load(name or controllers[0].driver_key[0])(controllers, failures, numbers)

@@ -1,4 +1,4 @@
-"""Driver of semi-active laws."""
+"""Driver for semi-active control laws."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -13,13 +13,13 @@ from sim.drive.driver import Request
 
 
 class SemiActiveDriver:
-    """Semi-active laws that ship; see `models.laws.semi_active`."""
+    """Built-in semi-active laws of N runs; see `models.laws.semi_active`."""
 
     ahead = 0
     requests: Request = "coefficients"
 
     def __init__(self, controllers: Sequence[SemiActive], *_: object) -> None:
-        """Takes N controllers with the same law, whose numbers may differ."""
+        """Takes N controllers with the same law. The parameters of the law may differ."""
         self._laws = [one.law for one in controllers]
         self.measured = self._laws[0].measured
 

@@ -1,1 +1,1 @@
-"""Descent on a norm over gains, shared by several methods."""
+"""Descent on the norm of the closed loop over the entries of a gain, shared by several design methods."""

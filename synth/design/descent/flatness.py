@@ -1,6 +1,7 @@
-"""Flatness of an optimum: the change of each entry of a gain, by itself, that raises the norm by a given share.
+"""Flatness of an optimum: the change of a single gain entry that raises the norm by a given share.
 
-The paper's optimum is attained on a whole face of gains; near it the norm says next to nothing about which gain to take.
+In the paper's problem, a whole face of gains is optimal. Close to this face, the norm hardly distinguishes one gain from
+another.
 """
 
 import numpy as np
@@ -9,25 +10,27 @@ from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant
 
-SMALLEST = 1e-4  # of an entry's scale: the first step
-STEPS, HALVINGS = 16, 8  # fourfold steps, beyond which a move is of any size; then to a hundredth of itself
+SMALLEST = 1e-4  # size of the first step, relative to the scale of an entry
+# number of fourfold steps, after which a change counts as unlimited; number of bisections, to a hundredth of the change
+STEPS, HALVINGS = 16, 8
 
 
 def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Array]:
-    """For each measurement the largest gain on it, and how far that entry may fall and rise.
+    """Returns, for each measurement, its largest gain, and by how much this entry may fall and rise.
 
     Args:
-        K: a stabilising gain, shape (m, q).
-        share: relative increase of the norm that is allowed.
+        K: stabilising gain, shape (m, q).
+        share: allowed relative increase of the norm.
 
     Returns:
-        Gain, fall and rise, each of shape (q,); the last two >= 0, and infinite where no move matters.
+        Gain, allowed fall and allowed rise, each of shape (q,). Fall and rise are >= 0, and infinite if the entry has no
+        effect.
     """
     landscape = Landscape(plant)
     x = landscape.point(K)
     allowed = landscape.norm(x)[0] * (1 + share)
     q = K.shape[1]
-    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # as an index of x
+    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # index of each entry in x
 
     def stays(i: int, move: float) -> bool:
         there = x.copy()
@@ -40,7 +43,7 @@ def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Arra
 
 
 def _furthest(stays) -> float:
-    """The largest move that stays, found by growing and halving."""
+    """Returns the largest change that keeps the norm within the limit, by doubling steps and bisection."""
     inside, outside = 0.0, SMALLEST
     for _ in range(STEPS):
         if not stays(outside):

@@ -1,7 +1,8 @@
-"""Growth of a gain by stages, at most twofold each, as long as each is worth it.
+"""Growth of a gain in stages. A stage at most doubles the gain, and is only kept if it lowers the norm by enough.
 
-Minimising a norm without bounds ruins a controller: from the paper's controller I it walks to [-72240, -82631] for a thousandth
-of gamma, because the infimum lies at infinite gain. So a doubling of the gain has a price, and a stage that buys less is undone.
+Minimising a norm without bounds ruins a controller, because the infimum lies at infinite gain. Starting from the paper's
+controller I, the gain would grow to [-72240, -82631] for a decrease of gamma by a thousandth. Each doubling of the gain must
+therefore lower the norm by at least 0.1 %. A stage that lowers it by less is undone.
 """
 
 import math
@@ -12,15 +13,15 @@ import numpy as np
 
 from models.common.arrays import Array
 
-WORTH = 1e-3  # relative decrease of a norm or a goal: the price of a doubling of the gain
-STAGES = 20  # a growth of 2^20; nothing is worth more
-SAME = 1e-6  # relative; less is no growth, and no decrease
+WORTH = 1e-3  # relative decrease of a norm or a goal that a doubling of the gain must reach
+STAGES = 20  # largest number of stages: a growth by 2^20
+SAME = 1e-6  # relative; a smaller change counts as no growth, or as no decrease
 
 Value = TypeVar("Value")
 
 
 def price(growth: float) -> float:
-    """Returns the relative decrease that a growth of the gain has to buy."""
+    """Returns the relative decrease of the norm that a growth of the gain must reach."""
     return WORTH * math.log2(growth)
 
 
@@ -31,17 +32,18 @@ def lower_by_growth(
     bought: Callable[[Value, Value], float],
     size: float | None = None,
 ) -> tuple[Array, Value, tuple[float, float] | None]:
-    """Lowers a value from a point, first without growth of the largest entry, then by stages of twofold growth.
+    """Lowers a value from a point, first without growth of the largest entry, then in stages that may double it.
 
     Args:
         x: point of a landscape.
-        value: value there.
-        lower: returns a point and a value, from a point and its value, with entries up to a limit.
-        bought: returns the relative decrease from one value to another.
-        size: largest entry that the point counts with; its own if it is not given.
+        value: value at this point.
+        lower: function of a point, its value and a limit on the entries; returns a point and its value.
+        bought: function that returns the relative decrease from one value to another.
+        size: largest entry of the point; computed by default.
 
     Returns:
-        Point, value, and the decrease and the growth of the stage that was undone; None without one, or if it bought nothing.
+        Point, its value, and the decrease and the growth of the stage that was undone. The last is None if no stage was undone,
+        or if that stage gained nothing.
     """
     size = float(np.abs(x).max()) if size is None else size
     for stage in range(STAGES):

@@ -1,20 +1,20 @@
-"""The norm as a landscape over the gains: its height, its slope, and the planes that support it from below.
+"""The norm as a function of the gain: its value, its slope, and smooth functions that bound it from below.
 
-A gain K is a point x of N numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. N is m q, or the
-number of entries that a structure leaves: all others are zero. Over the gains the H-infinity norm is continuous, but it has an
-edge wherever two frequencies or two singular values peak alike, and minima lie
-on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
-(omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
+A gain K is a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect. N is m q, or
+the number of nonzero entries if a structure fixes the others to zero. The H-infinity norm is a continuous function of the gain.
+The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on edges. For all unit
+vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak. Each (omega, u, v) therefore
+gives a smooth function that bounds the norm from below. This function is called a cut (Apkarian, Noll 2006).
 
-A discrete plant has the landscape of its continuous image over the same gains, with the frequencies of that image. Its
-measurements contain the force, like those of an accelerometer, and the gain that acts is (I - K Dyu)^-1 K.
+The landscape of a discrete plant is that of its continuous image, over the same gains and with the frequencies of the image.
+The measurements of the image contain the force, like those of an accelerometer. The gain that acts on them is (I - K Dyu)^-1 K.
 
-Where a measurement is large and another nearly equal to it, a gain may be free to grow in their difference and hardly free to
-move in their sum: of a reference that wanders slowly and a position that follows it, the difference is small. So with forces: two
-may nearly cancel in z. In the landscape's own coordinates that is a narrow valley. A change dK of the gain changes z by
-T_zu dK T_yw w. There is no valley in coordinates in which measurements are uncorrelated and of one size under white noise w,
-and the answers of z to white noise of the forces are orthogonal and of one size. For a quadratic cost they make
-the curvature alike (the natural gradient).
+If two measurements are large and nearly equal, the gain on their difference may vary by much, and the gain on their sum hardly.
+An example is a slowly drifting reference and the position that follows it. The same occurs if two forces nearly cancel in z. In
+the original coordinates, the norm then has a narrow valley. A change dK of the gain changes z by T_zu dK T_yw w. In suitable
+coordinates there is no valley. Under white noise w, the measurements are then uncorrelated and of equal size. The responses of
+z to white-noise forces are orthogonal and of equal size. For a quadratic cost, the curvature is then the same in all directions
+(natural gradient).
 """
 
 import contextlib
@@ -35,20 +35,21 @@ from synth.plant.generalized import Plant
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
-FAR = 1e4  # times the fastest pole
-POLES = 0.3  # of the work of a norm: the poles alone
+FAR = 1e4  # frequency close to infinity, as a multiple of the fastest pole
+POLES = 0.3  # work for the poles alone, as a share of the work for a norm
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A closed loop and its modes.
+    """Closed loop with its modes.
 
     Attributes:
-        loop: the loop, see `Landscape.loop`.
-        poles: shape (n,).
-        residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
-            responses cheap; None if eigenvectors lose too many digits.
-        vectors: the right eigenvectors, and the left ones as the rows of their inverse, shapes (n, n); None likewise.
+        loop: closed loop from `Landscape.loop`.
+        poles: poles of the loop, shape (n,).
+        residues: residues C v w' Bw of all modes, with right and left eigenvectors v and w, shape (n, d r). With residues,
+            frequency responses are fast to compute. None if the eigenvectors lose too many digits.
+        vectors: the right eigenvectors as columns, and the left eigenvectors as the rows of their inverse, shapes (n, n); None
+            if `residues` is None.
     """
 
     loop: Plant
@@ -58,18 +59,18 @@ class Modes:
 
     @cached_property
     def far(self) -> Array:
-        """Frequency at which the gain is close to that at infinity, as cuts need finite ones [rad/s], shape (1,)."""
+        """Finite frequency at which the gain is close to that at infinity [rad/s], shape (1,). Cuts need finite frequencies."""
         return FAR * np.abs(self.poles).max(keepdims=True)
 
     @cached_property
     def at_infinity(self) -> float:
-        """The gain at an infinite frequency."""
+        """Gain from w to z at infinite frequency."""
         return float(np.linalg.norm(self.loop.Dw, 2)) if self.loop.Dw.any() else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Cuts:
-    """F functions Re u' T(j omega; K) v.
+    """Set of F cuts: functions Re u' T(j omega; K) v of the gain K.
 
     Attributes:
         omega: frequencies [rad/s], shape (F,).
@@ -91,12 +92,15 @@ class Cuts:
 
 
 def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
-    """Returns points nearer to maxima between frequencies: the top of a parabola through three points is the next middle.
+    """Refines local maxima over frequency. The vertex of the parabola through three points is the next middle point.
+
+    Returns:
+        The refined frequencies, shape (P,).
 
     Args:
-        gains: function of frequencies that returns a gain for each; even.
+        gains: function that returns the gain at each frequency; an even function of frequency.
         left, middle, right: frequencies around each maximum, shape (P,) each.
-        height: gain in the middle, shape (P,).
+        height: gain at each middle frequency, shape (P,).
     """
     for _ in range(3):
         sides = gains(np.abs(np.concatenate([left, right]))).reshape(2, -1)
@@ -112,15 +116,15 @@ def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, r
     return middle
 
 
-NEAR = 1e-9  # relative; a level set this much higher that is empty ends the search for the peak
-ALIKE = 0.02  # relative; eigenvalues closer than this count as one
-MOST_ALIKE = 3  # singular values of one frequency that are looked at
+NEAR = 1e-9  # relative; the search for the peak ends if the norm does not exceed a level that is this much higher
+ALIKE = 0.02  # relative; eigenvalues that differ by less count as equal
+MOST_ALIKE = 3  # largest number of singular values per frequency that are considered
 
 
 class Work:
-    """The work that searches have done, in norms of loops of 8 states, and its limit.
+    """Counter of the work of searches, with a limit. The unit is the work of one norm of a loop with 8 states.
 
-    A count is the same on every machine, where a time would not be: the same problem ends at the same gain.
+    Unlike a time limit, this count is the same on every machine. The same problem therefore always ends at the same gain.
     """
 
     def __init__(self, limit: float = np.inf) -> None:
@@ -128,22 +132,25 @@ class Work:
 
     @property
     def over(self) -> bool:
-        """True if the limit is reached."""
+        """True if the limit of the work is reached."""
         return self.done >= self.limit
 
     @property
     def text(self) -> str:
-        """Reason why a search stopped, in words."""
+        """Text with the reason why a search stopped."""
         return f"the search stopped at its limit of {self.limit:g} computed norms"
 
 
 def price(states: int, entries: int) -> float:
-    """Returns the work of one norm, with the slopes and curvatures that a descent of so many entries takes for each."""
+    """Returns the work of one norm, including the slopes and curvatures that a descent over this number of entries needs."""
     return (0.4 + 0.6 * (states / 8) ** 2) * (1 + entries / 60)
 
 
 class Landscape:
-    """The closed loops of one plant. It remembers where peaks were, which only makes the next search shorter."""
+    """Norms of the closed loops of one plant as a function of the gain.
+
+    The object stores previous peak frequencies, which make the next search shorter but do not change its result.
+    """
 
     def __init__(
         self,
@@ -152,9 +159,9 @@ class Landscape:
         work: Work | None = None,
     ) -> None:
         """Args:
-        plant: n states, m inputs, r disturbances and q measurements.
-        structure: True for the entries of K that may be other than zero, shape (m, q); None for all.
-        work: counts the norms; without a limit if it is not given.
+        plant: generalised plant with n states, m inputs, r disturbances and q measurements.
+        structure: True for the entries of K that may be nonzero, shape (m, q); None for all.
+        work: counter of the norms; by default, a counter without a limit.
         """
         image, self.before = continuous_image(plant)
         A, self.balancing = balance(image.A)
@@ -166,7 +173,7 @@ class Landscape:
         columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(plant.Cy, axis=1)
         rate = float(np.linalg.norm(A, 2)) or 1.0
         columns = np.where(columns > 0, columns, 1.0)
-        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)  # readings of forces alone
+        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)  # measurements that contain only forces
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
         self.free = None if structure is None or np.all(structure) else np.flatnonzero(structure)
@@ -176,34 +183,34 @@ class Landscape:
         self.last_modes: Modes | None = None
 
     def gain(self, x: Array) -> Array:
-        """K of a point, or of many, shape (..., m, q)."""
+        """Returns K of one or more points, shape (..., m, q)."""
         if self.free is not None:
             some, x = x, np.zeros((*x.shape[:-1], self.scale.size))
             x[..., self.free] = some
         return x.reshape(*x.shape[:-1], *self.shape) * self.scale
 
     def point(self, K: Array) -> Array:
-        """The point of a gain, shape (N,)."""
+        """Returns the point of a gain, shape (N,)."""
         return self.of_entries(K / self.scale)
 
     def of_entries(self, values: Array) -> Array:
-        """The numbers of a point from those of all entries of K, shapes (..., N) and (..., m, q)."""
+        """Converts values per entry of K, shape (..., m, q), to values per coordinate of a point, shape (..., N)."""
         flat = values.reshape(*values.shape[:-2], self.scale.size)
         return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
-        """Returns K of points as it acts on y without Dyu: (I - K Dyu)^-1 K, shape (..., m, q); NaN if that does not exist."""
+        """Returns the equivalent K without Dyu, (I - K Dyu)^-1 K, of points, shape (..., m, q); NaN if it does not exist."""
         K = self.gain(x) - self.before
         if not self.through:
             return K
         if x.ndim == 1:
             return self.after(x) @ K
-        with contextlib.suppress(np.linalg.LinAlgError):  # a loop has no answer
+        with contextlib.suppress(np.linalg.LinAlgError):  # the equation of one loop has no solution
             return np.linalg.solve(np.eye(self.shape[0]) - K @ self.plant.Dyu, K)
         return np.full_like(K, np.nan)
 
     def after(self, x: Array) -> Array:
-        """Returns (I - K Dyu)^-1 of a point, shape (m, m); NaN if that does not exist."""
+        """Returns (I - K Dyu)^-1 for a point, shape (m, m); NaN if it does not exist."""
         eye = np.eye(self.shape[0])
         if not self.through:
             return eye
@@ -212,15 +219,16 @@ class Landscape:
         return np.full_like(eye, np.nan)
 
     def point_acting(self, K: Array) -> Array:
-        """The point of a gain that acts so, shape (N,)."""
+        """Returns the point whose equivalent gain without Dyu is K, shape (N,)."""
         if self.through:
             K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.plant.Dyu, K)
         return self.point(K + self.before)
 
     def loop(self, x: Array) -> Plant:
-        """Returns the plant under the gain of a point, u = K y + (a new u); the last one is remembered.
+        """Returns the plant with the gain of a point closed, u = K y + (a new u). The last result is cached.
 
-        Its matrices are what a change of the gain acts through, on y and by Dyu on itself. They are NaN without a solution.
+        The matrices of the result give the effect of a change of the gain on y, including the effect through Dyu. All entries
+        are NaN if the loop equation has no solution.
         """
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
@@ -240,7 +248,10 @@ class Landscape:
         return self.last[1]
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
-        """Largest real part of a pole [rad/s], and its slope, shape (N,); infinite where the loop is not finite itself."""
+        """Returns the largest real part of the poles [rad/s], and its slope, shape (N,).
+
+        The value is infinite if the loop matrix is not finite.
+        """
         self.work.done += POLES * self.price
         loop = self.loop(x)
         if not np.isfinite(loop.A).all():
@@ -252,7 +263,7 @@ class Landscape:
         return float(np.real(poles[i])), self.of_entries(slope * self.scale)
 
     def modes(self, x: Array) -> Modes:
-        """The loop of a point and its modes; the last one is remembered."""
+        """Returns the modes of the loop at a point. The last result is cached."""
         loop = self.loop(x)
         if self.last_modes is None or self.last_modes.loop is not loop:
             if not all(np.isfinite(part).all() for part in (loop.A, loop.C, loop.Bw, loop.Dw)):
@@ -271,7 +282,7 @@ class Landscape:
         """Returns the norm and its peak frequency [rad/s]; infinite if the loop is unstable or not finite.
 
         Args:
-            above: the search ends early, with a lower bound, once the norm is known to exceed this.
+            above: limit; the search ends early, with a lower bound, if the norm exceeds it.
         """
         self.work.done += self.price
         modes = self.modes(x)
@@ -285,7 +296,7 @@ class Landscape:
             gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
                 best, at = gain, float(omega[i])
-            elif turn or best == 0:  # a peak may stand where no pole says, above the gain at infinity
+            elif turn or best == 0:  # on the first turn, a peak away from all poles may still exceed the gain at infinity
                 break
             if best > above:
                 break
@@ -296,7 +307,7 @@ class Landscape:
         return best, at
 
     def slope(self, x: Array, at: float) -> Array:
-        """Slope of the largest singular value at a frequency, shape (N,)."""
+        """Returns the slope of the largest singular value at a frequency, shape (N,)."""
         loop = self.loop(x)
         if not np.isfinite(at):
             U, _, Vh = np.linalg.svd(loop.Dw, full_matrices=False)
@@ -310,9 +321,10 @@ class Landscape:
         return self.of_entries(np.real(np.outer(seen @ loop.B + adjoint @ loop.D, measured) * self.scale))
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
-        """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
+        """Returns the cuts that equal singular values >= `floor` at given frequencies, and cuts between similar singular values.
 
-        The largest value always gives one. Where two values are alike any mixture of their vectors may lead; four are taken.
+        The largest value always gives one cut. Any mixture of the vectors of similar values may become the largest, so four
+        mixtures are added.
         """
         if not len(omega):
             return Cuts(omega, *(np.zeros((0, count), complex) for count in self.plant.Dw.shape))
@@ -333,7 +345,7 @@ class Landscape:
         return Cuts(omega[where], np.concatenate(u), np.concatenate(v))
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
-        """Values of cuts at a point, shape (F,), and slopes, shape (F, N)."""
+        """Returns the values of cuts at a point, shape (F,), and their slopes, shape (F, N)."""
         loop = self.loop(x)
         n = len(loop.A)
         shifted = np.broadcast_to(-loop.A, (len(cuts.omega), n, n)).astype(complex)
@@ -347,11 +359,12 @@ class Landscape:
         return values, self.of_entries(slopes * self.scale)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
-        """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (N, N).
+        """Returns the weighted sum of the second derivatives of the peaks at which the cuts are, shape (N, N).
 
-        A peak is the largest Re u' T v over unit u, v and over frequencies near by. With q = (u, v) / sqrt 2 it is the eigenvalue
-        of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega. omega follows
-        its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
+        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. With q = (u, v) / sqrt 2, it is the
+        eigenvalue of J = [0 T; T' 0] that belongs to q. Perturbation theory gives its second derivatives over x and omega.
+        Since omega follows its maximum, the Hessian loses one rank. Terms with nearly equal eigenvalues are omitted, because
+        cuts of mixed vectors represent them.
         """
         loop = self.loop(x)
         n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
@@ -391,7 +404,7 @@ class Landscape:
         return np.tensordot(weights, second[:, :size, :size], 1)
 
     def summits(self, x: Array, level: float) -> Array:
-        """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
+        """Returns the frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
         modes = self.modes(x)
         above = modes.at_infinity * (1 + 1e-6)
         if level <= above and not self.noisy:
@@ -401,7 +414,7 @@ class Landscape:
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
         gains = self._gains(modes, omega)
-        around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # even about zero
+        around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # the gain is even about zero frequency
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
@@ -411,30 +424,35 @@ class Landscape:
         )
 
     def moving(self, omega: Array) -> Array:
-        """Returns True for frequencies at which a peak moves with the gain: at zero it stays, as the gain is even."""
+        """Returns True for frequencies at which the peak moves with the gain.
+
+        A peak at zero stays, because the gain is even in frequency.
+        """
         return omega > 0
 
     def _gains(self, modes: Modes, omega: Array) -> Array:
-        """Largest singular values at frequencies, shape (F,)."""
+        """Returns the largest singular values at given frequencies, shape (F,)."""
         return largest_singular_values(self._responses(modes, omega))
 
     def _responses(self, modes: Modes, omega: Array) -> Array:
-        """T at frequencies, shape (F, d, r)."""
+        """Returns T at given frequencies, shape (F, d, r)."""
         if modes.residues is None:
             return modes.loop.frequency_response(omega)
         T = (1 / (1j * omega[:, None] - modes.poles)) @ modes.residues
         return T.reshape(len(omega), *modes.loop.Dw.shape) + modes.loop.Dw
 
 
-SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or of forces; what is smaller counts as this
+# relative to the largest variance of a combination of measurements or of forces; smaller variances count as this value
+SMALLEST = 1e-12
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """Returns M, shape (N, N), at a stable point x: with x + M t for the point, t has these coordinates."""
+    """Returns balanced coordinates at a stable point x: the matrix M of x + M t, shape (N, N)."""
     loop = landscape.loop(x)
     triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
-    # Gramians: what w reaches, and what z sees. On the border of stability LAPACK moves the poles a little: as good a scale.
+    # Gramians of controllability from w and of observability from z. At the stability limit, LAPACK moves the poles slightly,
+    # which is accurate enough for a scale.
     reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")
     seen, other, _ = lapack.dtrsyl(triangle, triangle, -z.T @ z, trana="T", tranb="N")
     measured = _root(y @ (reached / scale) @ y.T)
@@ -445,8 +463,8 @@ def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
 
 
 def _root(variance: Array) -> Array:
-    """The inverse square root of a variance; I where nothing varies, or without end."""
-    if not np.all(np.isfinite(variance)):  # of a loop on the border of stability
+    """Returns the inverse square root of a variance; the identity if the variance is zero or not finite."""
+    if not np.all(np.isfinite(variance)):  # a loop at the stability limit
         return np.eye(len(variance))
     sizes, directions = np.linalg.eigh((variance + variance.T) / 2)
     if not sizes[-1] > 0:
@@ -455,10 +473,10 @@ def _root(variance: Array) -> Array:
 
 
 def directions(landscape: Landscape, x: Array, free: Array) -> Array:
-    """Returns the directions as columns, shape (N, free).
+    """Returns balanced directions of the free entries as columns, shape (N, number of free entries).
 
     Args:
-        free: indices of the entries of a point that may be other than zero.
+        free: indices of the entries of a point that may be nonzero.
     """
     try:
         M = balanced_coordinates(landscape, x)
@@ -473,7 +491,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """The coordinates of the free entries alone, of the same metric, shape (N, N).
+    """Returns coordinates with the same metric for the free entries only, as a square matrix.
 
     Raises:
         LinAlgError: M is singular.

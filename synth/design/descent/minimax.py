@@ -1,15 +1,15 @@
-"""Descent on a landscape that has edges: on the largest of some terms, within bounds on others.
+"""Descent on a nonsmooth function: minimises the largest of several terms, within bounds on other terms.
 
-- `descend` is sequential quadratic programming for a minimax problem. The largest of the linearised functions that bound the
-  terms from below, plus their curvature, is the model of a step, and its minimum is the step. The functions found at the end of
-  each step that is too long join the model, as in bundle methods. If the curvature is unknown or has the wrong sign, the step
+- `descend` is sequential quadratic programming for a minimax problem. The model of a step is the maximum of linear functions
+  that bound the terms from below, plus their curvature. The minimum of this model is the step. If a step is too long, the
+  functions at its end are added to the model, as in bundle methods. If the curvature is unknown or has the wrong sign, the step
   length is measured in coordinates in which all directions have equal weight (`balanced_coordinates`).
-- While bounds are exceeded, a multiple of the excess is added to the goal (an exact penalty). If the factor exceeds the
-  multipliers of the bounds, the minimum of the sum is the minimum of the goal within the bounds. A sum of two maxima is the
-  maximum over pairs, so the model has the same form.
-- `descend_norm` is this descent on one norm. It works in stages, each with its own coordinates and curvature.
-- `quasi_newton` is BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It
-  is quick from far away, and stalls on an edge.
+- While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). With a factor above the
+  multipliers of the bounds, the sum has the same minimum as the goal within the bounds. A sum of two maxima is the maximum over
+  pairs, so the model keeps its form.
+- `descend_norm` applies this descent to one norm. This descent works in stages, each with its own coordinates and curvature.
+- `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013).
+  BFGS is fast far from a minimum, and stalls at an edge.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -28,25 +28,30 @@ from synth.design.descent.landscape import Landscape, balanced_coordinates
 from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
-STALLED_DECREASE = 1e-4  # decrease over seven rounds that counts as none, of a function whose values are of order one
+STALLED_DECREASE = 1e-4  # smallest decrease over seven rounds that counts, for a function whose values are of order one
 
-STAGE = 30  # rounds
-WORTH_A_STAGE = 3e-5  # relative decrease of the norm
+STAGE = 30  # rounds per stage
+WORTH_A_STAGE = 3e-5  # relative decrease of the norm that a stage must reach, so that another stage follows
 ENDING_DECREASE = 1e-5  # relative decrease of the norm over `OVER` rounds that ends a stage
 
-NEAR = 0.7  # share of a limit: entries beyond it are limited from the first
+NEAR = 0.7  # share of a limit; larger entries are limited in the first solution already
 
-BOUND_TOLERANCE = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
-POINTS = 3  # whose values are cached: the last one, and those of trial steps
+# relative; a bound that is exceeded by less counts as fulfilled, because the bounds contain a larger margin
+BOUND_TOLERANCE = 1e-9
+POINTS = 3  # number of points with cached values: the last point, and those of trial steps
 
 Function = Callable[[Array], tuple[float, Array]]
 
 
 def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.inf) -> tuple[Array, float]:
-    """BFGS from x, until the function is below the target or no longer falls.
+    """Minimises a function by BFGS from x, until its value is below the target or no longer decreases.
+
+    Returns:
+        The last point and its value.
 
     Args:
-        function: returns the value and the slope at a point; the value is infinite if the loop is not finite.
+        function: function that returns the value and the slope at a point. The value is infinite if the loop is not finite.
+        target: value at which the minimisation ends.
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """
@@ -93,7 +98,7 @@ class Evaluation:
 
     Attributes:
         goal: the largest value of a goal; infinite if a loop is unstable.
-        excess: relative violation of the worst bound; negative if all are kept.
+        excess: relative violation of the worst bound; negative if all bounds are fulfilled.
         worst: indices of the largest goal and of the worst bound.
     """
 
@@ -103,21 +108,21 @@ class Evaluation:
 
     @property
     def within(self) -> bool:
-        """True if all bounds are kept."""
+        """True if all bounds are fulfilled."""
         return self.excess <= BOUND_TOLERANCE
 
 
 Model = list[tuple[int, Linearisation]]  # functions near a point, each with the index of its term
-Cuts = list[tuple[int, Any]]  # their identifications
+Cuts = list[tuple[int, Any]]  # identification of each function, with the index of its term
 
 
 class MinimaxProblem:
-    """Minimisation of the largest of some terms, under bounds on others.
+    """Minimisation of the largest of several terms, with bounds on other terms.
 
     Attributes:
-        goals: the largest of them is minimised.
-        bounds: bounds of the problem, none of which may exceed 1.
-        limit: the largest entries of a point, shape (N,).
+        goals: terms of which the largest is minimised.
+        bounds: terms that may not exceed 1.
+        limit: largest absolute value of each entry of a point, shape (N,).
     """
 
     def __init__(self, goals: Sequence[Term], bounds: Sequence[Term], limit: Array) -> None:
@@ -125,7 +130,7 @@ class MinimaxProblem:
         self._known: dict[bytes, dict[tuple[int, float], float]] = {}  # values at points, by term and unit
 
     def value(self, term: Term, x: Array, above: float = np.inf) -> float:
-        """Returns `Term.value` of a term at a point; values of the last points are cached."""
+        """Returns `Term.value` of a term at a point. The values at the last points are cached."""
         known = self._known.setdefault(x.tobytes(), {})
         if len(self._known) > POINTS:
             del self._known[next(iter(self._known))]
@@ -138,11 +143,11 @@ class MinimaxProblem:
         return known[key]
 
     def evaluate(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Evaluation:
-        """Returns the merit of a point.
+        """Returns the goal and the violation of the bounds at a point.
 
         Args:
-            above: the evaluation ends early if goal (1 + penalty excess) is known to exceed this.
-            penalty: factor of the excess.
+            above: limit; the evaluation ends early if goal (1 + penalty excess) exceeds it.
+            penalty: factor for the violation.
         """
         goal, excess, i, j = 0.0, -1.0, 0, 0
         for k, term in enumerate(self.goals):
@@ -160,24 +165,24 @@ class MinimaxProblem:
 
     @property
     def terms(self) -> list[Term]:
-        """The goals, then the bounds."""
+        """All terms: the goals, followed by the bounds."""
         return [*self.goals, *self.bounds]
 
     def cut(self, x: Array, evaluation: Evaluation) -> Cuts:
-        """Returns the cuts of the largest goal and of the worst exceeded bound at the point of the last evaluation."""
+        """Returns the cuts of the largest goal and of the most violated bound at the point of the last evaluation."""
         i, j = evaluation.worst
         bounds = [(len(self.goals) + j, self.bounds[j].cut(x, 1 + evaluation.excess))] if evaluation.excess > 0 else []
         return [(i, self.goals[i].cut(x, evaluation.goal)), *bounds]
 
     def passed(self, x: Array) -> dict[str, float]:
-        """Returns the bounds that a point exceeds, by name, with the relative excess, the worst first."""
+        """Returns the violated bounds at a point, by name, with the relative violation; the worst is first."""
         excess: dict[str, float] = {}
         for term in sorted(self.bounds, key=lambda term: -term.value(x)):
             excess.setdefault(term.name, term.value(x) - 1)
         return {name: share for name, share in excess.items() if share > BOUND_TOLERANCE}
 
     def model(self, x: Array, evaluation: Evaluation, depth: float) -> Model:
-        """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
+        """Returns the linearisations of the goals close to the largest goal, and of the bounds that are nearly reached."""
         model, level = Model(), evaluation.goal * (1 - depth)
         for i, term in enumerate(self.terms):
             value, goal = self.value(term, x), i < len(self.goals)
@@ -186,26 +191,26 @@ class MinimaxProblem:
         return model
 
     def of_cuts(self, x: Array, cuts: Cuts) -> Model:
-        """Returns the functions of cuts at a point."""
+        """Returns the functions that belong to given cuts, evaluated at a point."""
         terms = self.terms
         return [(i, terms[i].reevaluate(x, each)) for i, each in cuts]
 
 
-FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
-FLAT = 1e-7  # relative decrease over so many rounds that counts as none
+FIRST, LARGEST = 4.0, 1e6  # initial and largest penalty: relative rise of the goals per relative violation of a bound
+FLAT = 1e-7  # relative decrease over `OVER` rounds below which the descent ends
 OVER = 10
 MOST_PAIRS = 400
-LITTLE = 1e-3  # weight of functions whose curvature does not count
+LITTLE = 1e-3  # functions with a smaller weight do not contribute to the curvature
 
 
 def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
-    """Minimises the norm from a stable x, |x_i| <= limit_i, until it is small enough or a stage gains next to nothing.
+    """Minimises the norm from a stable x with |x_i| <= limit_i.
 
-    Every stage has coordinates of its own and forgets the curvature: what the last one learnt on other edges only makes the steps
-    of this one short.
+    The descent ends if the norm is at most `enough`, or if a stage hardly lowers it. Every stage computes its own coordinates
+    and starts without curvature. The curvature of the previous stage belongs to other edges, and would only shorten the steps.
 
     Returns:
-        Where it ended, and the norm there.
+        The final point, and its norm.
     """
     minimax = MinimaxProblem([NormTerm(landscape)], [], limit)
     norm = minimax.evaluate(x).goal
@@ -230,18 +235,24 @@ def descend(
     settled: float = -np.inf,
     flat: float = FLAT,
 ) -> tuple[Array, Evaluation]:
-    """Descends from a point at which all loops are stable, within the bounds if the start is or a way there is found.
+    """Descends from a point at which all loops are stable.
+
+    The result fulfils the bounds if the start does, or if the descent finds a point that does.
+
 
     Args:
-        M: coordinates in which all directions have equal weight, shape (N, N).
+        M: matrix of coordinates in which all directions have equal weight, shape (N, N).
         rounds: largest number of iterations.
-        on_progress: callback that receives every new point.
+        on_progress: callback that receives every new point and its evaluation.
         enough: value of the goal at which the descent ends.
         settled: predicted relative decrease below which the descent ends immediately, without another refinement of the model.
-        flat: relative decrease over `OVER` rounds that counts as none.
+        flat: relative decrease over `OVER` rounds below which the descent ends.
+
+    Returns:
+        The final point, and its evaluation.
     """
     walk = _Walk(minimax, x, M, settled, flat)
-    with up_to_rounding():  # for a loop on the border of stability
+    with up_to_rounding():  # rounding errors may end the descent of a loop at the stability limit
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
                 break
@@ -255,7 +266,7 @@ class _Walk:
     def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float, flat: float) -> None:
         self.minimax, self.x, self.M, self.settled, self.flat = minimax, x, M, settled, flat
         self.evaluation = minimax.evaluate(x)
-        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # a unit of t has the size of a step
+        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # scales t so that a step has a size of about one
             (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
@@ -264,13 +275,13 @@ class _Walk:
         self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
     def merit(self, evaluation: Evaluation) -> float:
-        """Returns the goal with the penalty."""
+        """Returns the goal, multiplied by the penalty for violated bounds."""
         return evaluation.goal * (1 + self.penalty * max(evaluation.excess, 0.0))
 
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
-        """Returns the step that minimises the model, the weights of goals and bounds, and the promised decrease."""
+        """Returns the step that minimises the model, the weights of goals and bounds, and the predicted decrease."""
         (v, s), (c, w) = goals, bounds
-        values = np.append(0.0, self.penalty * c)  # no bound, or one of the bounds
+        values = np.append(0.0, self.penalty * c)  # the first value stands for no violated bound
         slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
@@ -283,7 +294,7 @@ class _Walk:
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
 
     def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Returns the model's functions of goals and of bounds in the descent's coordinates, relative."""
+        """Returns the model's functions of the goals and of the bounds, relative and in the coordinates of the descent."""
         empty, count, goal = np.zeros((0, len(self.x))), len(self.minimax.goals), self.evaluation.goal
         goals, bounds = ([each for i, each in model if (i < count) == which] for which in (True, False))
         (v, s), (c, w) = (
@@ -307,7 +318,7 @@ class _Walk:
             self.hessian = convex(M.T @ curvature @ M, self.damping)
         t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
-            self.penalty *= 4  # the step exceeds a bound that a step with a larger penalty keeps
+            self.penalty *= 4  # the step violates a bound that a step with a larger penalty would fulfil
             t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         if fall < self.settled:
             return False
@@ -321,10 +332,11 @@ class _Walk:
             there = self.at(x + length * move, allowed)
             if self.merit(there) <= allowed:
                 break
-            if np.isfinite(self.merit(there)):  # what is larger there is missing in the model
+            if np.isfinite(self.merit(there)):  # the model lacks the functions that are larger there
                 beyond += minimax.cut(x + length * move, there)
                 if not corrected:
-                    # The edges are curved, so they are modelled anew at the end of the step (a second-order correction).
+                    # The edges are curved. The model therefore uses the functions at the end of the step (second-order
+                    # correction).
                     corrected = True
                     better = self.corrected(x + move, t)
                     there = self.at(x + better, allowed)
@@ -336,7 +348,8 @@ class _Walk:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
             self.kept_cuts += beyond
             return True
-        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):  # a minimum far away, or at infinity
+        # longer steps, if a minimum is far away or at infinity
+        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):
             needed = self.merit(there) - 0.1 * length * fall * here
             further = self.at(x + 3 * length * move, needed)
             if self.merit(further) > needed:
@@ -350,11 +363,11 @@ class _Walk:
         return True
 
     def at(self, x: Array, allowed: float) -> Evaluation:
-        """Returns the evaluation of a point, which ends early if its result can no longer matter."""
+        """Evaluates a point; ends early if the result can no longer be accepted."""
         return self.minimax.evaluate(x, allowed, self.penalty)
 
     def corrected(self, end: Array, t: Array) -> Array:
-        """Returns the step t again, by the functions as they are at its end, shape (N,)."""
+        """Returns the step t again, with the functions as they are at its end, shape (N,)."""
         goal, depth = self.evaluation.goal, self.depth
         count = len(self.minimax.goals)
         model = [(i, term.support(end, goal if i < count else 1.0, depth)) for i, term in enumerate(self.minimax.terms)]
@@ -364,7 +377,7 @@ class _Walk:
         return self.M @ self.lowest((v - s @ t, s), (c - w @ t, w))[0]
 
     def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
-        """Returns the curvature of the functions that are active at the point, as if the functions of cuts were not."""
+        """Returns the curvature of the functions that are active at the point. Functions of previous cuts do not contribute."""
         total, terms, count = np.zeros((len(self.x), len(self.x))), self.minimax.terms, len(self.minimax.goals)
         share = of_goals[: sum(len(each.values) for i, each in fresh if i < count)].sum()
         start = [0, 0]
@@ -378,14 +391,19 @@ class _Walk:
 
 
 def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
-    """Returns the t that minimises max_i (values_i + slopes_i t) + t' hessian t / 2, |x + M t| <= limit, and the cuts' weights.
+    """Solves the quadratic subproblem of a step.
 
-    As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with h for the maximum, h +
-    |y|^2 / 2 is the distance from a point far down the axis of h, up to a term that is too small to count. Only nearby limits
-    count, and those that a solution without them violates.
+    The step t minimises max_i (values_i + slopes_i t) + t' hessian t / 2, subject to |x + M t| <= limit.
+
+    The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). With
+    h for the maximum, h + |y|^2 / 2 is, up to a negligible term, the distance from a point far down the axis of h. The first
+    solution includes only limits on entries that are already close to them. Limits that this solution violates are added.
+
+    Returns:
+        The step t, and the weights of the cuts.
 
     Raises:
-        LinAlgError: there is no cut, or rounding leaves no solution.
+        LinAlgError: there is no cut, or rounding prevents a solution.
     """
     if not len(values) or not all(np.isfinite(each).all() for each in (values, slopes, hessian, M, x)):
         raise np.linalg.LinAlgError("no cut is left")
@@ -394,7 +412,7 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
     far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
     bounds = (values - values.max()) / far + far
-    moves = np.vstack([M, -M]) @ inverse  # up to the limits, and down to them
+    moves = np.vstack([M, -M]) @ inverse  # changes towards the upper limits, then towards the lower limits
     room = np.concatenate([limit - x, limit + x])
     at_limit = room < NEAR * np.tile(limit, 2)
     while True:
@@ -413,14 +431,14 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
 
 
 def _non_negative(matrix: Array, target: Array) -> Array:
-    """Non-negative least squares, shape (k,) for a matrix of shape (N, k)."""
+    """Solves non-negative least squares; returns shape (k,) for a matrix of shape (N, k)."""
     try:
         return optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])[0]
-    except (ValueError, RuntimeError) as error:  # what is not finite, and what does not come to an end
+    except (ValueError, RuntimeError) as error:  # the input is not finite, or the iteration does not end
         raise np.linalg.LinAlgError(str(error)) from error
 
 
 def convex(curvature: Array, damping: float) -> Array:
-    """A positive definite matrix of the same curvatures, upwards in every direction."""
+    """Returns a positive definite matrix with the absolute values of the curvatures."""
     values, vectors = np.linalg.eigh(curvature)
     return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T

@@ -1,4 +1,4 @@
-"""`--refine`: descent on the norm from a gain of the LMIs, as far as it is worth a larger gain (`growth.py`)."""
+"""`--refine`: descent on the norm from a gain of the LMIs, as long as the decrease justifies the larger gain (`growth.py`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,21 +18,22 @@ from synth.design.problem import SEEN
 from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-ROUNDS = 60  # of descent within a stage; it usually ends sooner
-GLANCE = 5  # rounds that tell whether there is anything to gain
+ROUNDS = 60  # rounds of descent within a stage, which usually ends sooner
+GLANCE = 5  # rounds after which `worth_refining` estimates the decrease
 
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """The result of a refinement and its trade-off.
+    """Result of a refinement with its trade-off.
 
     Attributes:
-        gain: K, shape (m, q).
-        before: the norm it started from.
-        after: the norm it ended at.
-        growth: largest entry of the gain in the loop's own units, after over before.
-        refused_stage: relative decrease of gamma by one more stage, and its growth of the gain; None if gamma would not decrease.
-        what: the norm, in words.
+        gain: gain matrix K, shape (m, q).
+        before: norm before the refinement.
+        after: norm after the refinement.
+        growth: largest entry of the gain after the refinement, divided by that before, in the loop's internal units.
+        refused_stage: relative decrease of gamma in the first stage that was undone, and its growth of the gain. None if a
+            further stage would not lower gamma.
+        what: name of the norm.
     """
 
     gain: Array
@@ -44,7 +45,7 @@ class Refinement:
 
     @property
     def trade_off_text(self) -> str:
-        """The trade-off in words."""
+        """Trade-off between norm and gain, as text."""
         text = f"{self.what} {digits(self.before)} -> {digits(self.after)} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain multiplied by {brief(self.growth)}"
         if self.refused_stage is not None:
@@ -55,13 +56,16 @@ class Refinement:
 
 @numerics()
 def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -> Refinement:
-    """Lowers the norm from a stabilising gain.
+    """Lowers the H-infinity norm by descent from a stabilising gain, as long as the decrease justifies the growth of the gain.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n); None for the plant's own measurements.
-        K: shape (m, q).
-        Dyw: shape (q, r); zero if it is not given.
+        plant: generalised plant with n states and m inputs.
+        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        K: gain of u = K y from which the descent starts, shape (m, q).
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+
+    Returns:
+        The refined gain, and the norms before and after.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -86,7 +90,7 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
 
 def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
-    """Returns the result of `refine` on the landscape of a plant; no stage begins once its work is over."""
+    """Performs `refine` on the landscape of a plant. No stage begins after the limit on its work is exceeded."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):
@@ -99,7 +103,8 @@ def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
 
     x, norm, refused = lower_by_growth(x, before, lower, lambda norm, reached: 1 - reached / norm)
     first, size = float(np.abs(start).max()), float(np.abs(x).max())
-    # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
+    # The descent uses the norms of the landscape. The comparison of start and end uses the norms of their own loops, and for a
+    # discrete plant, these norms are also returned.
     gain = landscape.gain(x)
     own_before, own_after = own_norm(plant, K), own_norm(plant, gain)
     first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
@@ -109,14 +114,14 @@ def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
 
 
 def own_norm(plant: Plant, K: Array) -> float:
-    """Returns the norm of a gain's own loop by two routes; infinite where the loop is not stable."""
+    """Returns the norm of the loop of a gain, confirmed by two methods; infinite if the loop is not stable."""
     loop = plant.closed(static_law(K))
     return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
 
 @numerics()
 def worth_refining(plant: Plant, K: Array) -> float:
-    """Returns the relative decrease of the norm that `refine` reaches at least, from its first rounds, which are quick.
+    """Returns a quick lower estimate of the relative decrease of the norm that `refine` would reach, from its first rounds.
 
     Args:
         K: a stabilising gain, shape (m, q).
@@ -130,7 +135,7 @@ def worth_refining(plant: Plant, K: Array) -> float:
     _, reached = descend_norm(landscape, x, np.full(len(x), size), GLANCE)
     if reached < before * (1 - SEEN):
         return 1 - reached / before
-    # Nothing without growth: then what the first twofold growth buys, where it is worth it.
+    # The norm does not fall without growth. The estimate then comes from the first doubling of the gain, if this is worthwhile.
     landscape = Landscape(plant)
     x, norm = descend_norm(landscape, x, np.full(len(x), size), ROUNDS)
     _, reached = descend_norm(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
@@ -138,6 +143,6 @@ def worth_refining(plant: Plant, K: Array) -> float:
 
 
 def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
-    """The same force from those of the measurements that the others follow from, shape (m, len(kept))."""
+    """Returns a gain with the same forces that uses only independent measurements, shape (m, len(kept))."""
     left_out = [i for i in range(len(rows)) if i not in kept]
     return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain

@@ -1,21 +1,23 @@
-"""Starts of a search over static gains: random gains of every size, a Riccati equation, and a stabilising gain.
+"""Starting gains for a search over static gains: random gains of every magnitude, a Riccati equation, and stabilising gains.
 
-Poles of small matrices cost microseconds, descents cost tenths of a second. So random gains are drawn from every decade of size
-up to the largest allowed, each with a size of its own for every input and measurement. Half of them have rank one, as gains that
-tend to infinity often have in the limit. The stabilising gains of each decade are examined more closely.
+The poles of small matrices take microseconds, but a descent takes tenths of a second. Random gains are therefore drawn from
+every decade of magnitude up to the largest allowed. Every input and every measurement also has its own random scale. Half of
+the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade, the norm is
+computed for some of the stabilising gains.
 
-The state feedback u = G x that is best for z under white noise needs all of x. With the available measurements, K C_y comes
-closest to it on average for K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the loop that G closes. Nothing guarantees
-that K stabilises; this is checked afterwards.
+The state feedback u = G x with the smallest mean square of z under white noise needs all of x. With the available measurements,
+K C_y comes closest to G on average for K = G X C_y' (C_y X C_y')^-1. X is the covariance of the state in the loop with G. K
+need not stabilise the loop, so this is checked afterwards.
 
-If all states are measured, the Riccati equation of the H-infinity norm has a gain as close to the lower bound as is wanted.
+If all states are measured, the Riccati equation of the H-infinity norm gives a gain as close to the lower bound as required.
 
-Two descents, tried from one start after another, for neither is sure: finding such a gain is a problem for which no sure and
-quick method is known (Blondel, Gevers, Lindquist 1995).
+Two descents look for a stabilising gain, from one start after another. Neither is certain to find one, because no fast and
+certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
 
-- The largest real part of a pole falls steeply, but it is not Lipschitz, and the descent ends where poles meet.
-- The norm of (s - A - B K C_y + shift)^-1 does not end there: it is finite while the shift exceeds every pole, and as it falls
-  the poles go left and the shift follows.
+- The first descent lowers the largest real part of the poles. This function falls steeply, but it is not Lipschitz continuous,
+  and the descent stops where poles meet.
+- The second descent lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
+  every pole. As the norm falls, the poles move to the left, and the shift follows them.
 """
 
 import contextlib
@@ -32,18 +34,18 @@ from synth.design.full_order.riccati import state_gain
 from synth.plant.generalized import Plant
 from synth.plant.units import size
 
-SMALLEST = -2  # decade of the first sample, in the landscape's units
-SAMPLES = 1000  # of each decade
-WIDE = 30  # states; with more there are fewer samples, so that their poles cost the same
-FEWEST = 20  # samples
-CLOSER = 24  # stable ones of each decade whose norm is computed
-AT_ONCE = 100  # samples whose poles are computed in one call, until there are enough stable ones
-SPREAD = 1.5  # decades either way, of the size of one input or measurement
+SMALLEST = -2  # decade of the first random gain, in the landscape's units
+SAMPLES = 1000  # random gains per decade
+WIDE = 30  # number of states above which there are fewer random gains, so that computing their poles takes the same time
+FEWEST = 20  # smallest number of random gains
+CLOSER = 24  # number of stabilising gains per decade whose norm is computed
+AT_ONCE = 100  # number of random gains whose poles are computed in one call
+SPREAD = 1.5  # decades, in both directions, over which the scale of an input or of a measurement varies
 SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """Returns the best stable sample of every decade of size that has one, smallest first, each of shape (N,) like `limit`."""
+    """Returns the best stabilising random gain of every decade that has one, smallest first; shape (N,) each, as `limit`."""
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
@@ -56,19 +58,25 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
 
 
 def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: int) -> Array | None:
-    """Returns the best stable sample around a point, with a random factor for every entry; None if no sample is stable.
+    """Returns the best stable random point around a point, with a random factor for every entry; None if no point is stable.
 
     Args:
-        x: the point, shape (N,).
-        limit: largest entries, shape (N,).
-        factor: standard deviation of the logarithms.
+        x: centre of the random points, shape (N,).
+        limit: largest absolute value of each entry, shape (N,).
+        factor: standard deviation of the logarithms of the factors.
+        seed: seed of the random factors.
     """
     factors = np.exp(factor * np.random.default_rng(seed).standard_normal((_count(landscape), len(x))))
     return lowest(landscape, np.clip(x * factors, -limit, limit))
 
 
 def lowest(landscape: Landscape, points: Array) -> Array | None:
-    """Returns the point with the smallest norm among the first stable ones of `points`, shape (count, N), or None."""
+    """Returns the point with the smallest norm among the first stable points; None if no point is stable.
+
+    Args:
+        landscape: the landscape of the points.
+        points: points to compare, shape (count, N).
+    """
     stable = points[:0]
     for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
         loops = landscape.plant.A + landscape.plant.B @ landscape.acting(some) @ landscape.plant.Cy
@@ -84,12 +92,12 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
 
 
 def _count(landscape: Landscape) -> int:
-    """Returns the number of samples of a kind."""
+    """Returns the number of random gains in each group."""
     return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.plant.A)) ** 3)))
 
 
 def _directions(generator: np.random.Generator, count: int, shape: tuple[int, int]) -> Array:
-    """Gains whose largest entry is one, shape (count, m, q)."""
+    """Returns random gains whose largest entry is one, shape (count, m, q)."""
     m, q = shape
     rows = 10 ** generator.uniform(-SPREAD, SPREAD, (count, m, 1))
     columns = 10 ** generator.uniform(-SPREAD, SPREAD, (count, 1, q))
@@ -99,15 +107,17 @@ def _directions(generator: np.random.Generator, count: int, shape: tuple[int, in
     return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
-COUNTS = (1e-8, 1e-4, 1e-2)  # of z's power: what every state and force counts besides, so that there is a solution
-EVERYWHERE = 1e-6  # of the disturbance's power: what disturbs states that w does not reach
+# additional cost of every state and force, relative to z, so that the Riccati equation has a solution
+COUNTS = (1e-8, 1e-4, 1e-2)
+EVERYWHERE = 1e-6  # power of an additional disturbance of every state, relative to that of w, for states that w does not reach
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; none if rounding prevents it."""
+    """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; fewer if rounding prevents one."""
     plant = landscape.plant
     A, Cy, C, (n, m) = plant.A, plant.Cy, plant.C, plant.B.shape
-    unit = size(A) / size(plant.B)  # of the forces, with which they move the states as fast as these move
+    # unit of the forces in which a force of one moves the states about as fast as the plant does
+    unit = size(A) / size(plant.B)
     B, D = plant.B * unit, plant.D * unit
     noise = plant.Bw @ plant.Bw.T
     noise += EVERYWHERE * size(noise) * np.eye(n)
@@ -128,11 +138,14 @@ def projected_starts(landscape: Landscape) -> list[Array]:
     return starts
 
 
-REGULAR = (0.0, 1e-6, 1e-3)  # costs of forces, with which the equation may have a solution
+REGULAR = (0.0, 1e-6, 1e-3)  # relative costs of all forces that are tried until the equation has a solution
 
 
 def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
-    """Returns the point of a state feedback whose norm is below a level; none unless all states are measured without noise."""
+    """Returns the point of a state feedback with a norm below a given level.
+
+    The list is empty unless all states are measured without noise.
+    """
     plant, (n, _) = landscape.plant, landscape.plant.B.shape
     if landscape.free is not None or landscape.noisy or plant.Cy.shape != (n, n):
         return []
@@ -143,21 +156,22 @@ def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
     return []
 
 
-STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
-SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
+STABLE = -1e-4  # largest real part of the poles, relative to the fastest pole of the plant, at which a point counts as stable
+SHIFT_BEYOND = 0.03  # distance of the shift to the right of the last pole, relative to the fastest pole of the plant
 
 MOST_SHIFTS = 40
-ROUNDS = 100  # of the descent on the largest real part
-OF_ALL = 2.0  # times the work of a norm of the plant's: that from every state to every state
-STALLED_SHIFTS = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
+ROUNDS = 100  # rounds of the descent on the largest real part
+OF_ALL = 2.0  # work of a norm from every state to every state, relative to that of the plant's norm
+# the descent stops if the largest real part is still above this share of its value this many shifts before
+STALLED_SHIFTS = 0.92, 5
 
 
 def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
-    """Points where the loop is stable, one or none from each start: from u = 0, which is the first, and random points.
+    """Yields stable points, at most one per start. The first start is u = 0, and the others are random points.
 
     Args:
-        limit: largest entries, shape (N,).
-        starts: numbers of the starts to try.
+        limit: largest absolute value of each entry, shape (N,).
+        starts: indices of the starts to try.
     """
     generator = np.random.default_rng(20261120)
     for start in range(starts.stop):
@@ -173,11 +187,14 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
 
 
 def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array:
-    """Returns a point at which the largest real part of a pole of any of the loops is smaller, negative if may be, shape (N,).
+    """Lowers the largest real part of the poles of all loops by descent. Returns the final point, shape (N,).
+
+    The loops are stable at this point if the largest real part is negative.
 
     Args:
-        landscapes: landscapes of the plants, with the same points.
-        free: indices of the entries of a point that may move.
+        landscapes: landscapes of the plants, all with the same points.
+        x: point from which the descent starts, shape (N,).
+        free: indices of the entries of the point that may change.
     """
     rate, moved = _rate(landscapes[0]), x.copy()
 
@@ -196,11 +213,11 @@ def _rate(landscape: Landscape) -> float:
 
 
 def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:
-    """Returns a stable point from one start, or None if this start leads to none.
+    """Returns a stable point found by descent from one start; None if the descent fails.
 
     Args:
-        limit: largest entries, shape (N,).
-        patient: True for the second descent alone; otherwise the second begins where the first ends.
+        limit: largest absolute value of each entry, shape (N,).
+        patient: True to use only the second descent; otherwise it continues from the end of the first descent.
     """
     rate = _rate(landscape)
     x = x if patient else lower_poles([landscape], x, np.arange(len(x)))
@@ -217,7 +234,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
 
 
 def shifted_landscape(landscape: Landscape, shift: float) -> Landscape:
-    """The landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
+    """Returns the landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
     own, (n, m) = landscape.plant, landscape.plant.B.shape
     eye, nothing = np.eye(n), np.zeros((n, n))
     moved = Landscape(Plant(own.A - shift * eye, own.B, eye, eye, np.zeros((n, m)), nothing, Cy=own.Cy, Dyu=own.Dyu))

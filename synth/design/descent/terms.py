@@ -1,6 +1,6 @@
-"""Terms of a minimax problem as functions of the gain: their values, and smooth functions that bound them from below.
+"""Terms of a minimax problem as functions of the gain. Each has a value, and smooth functions that bound it from below.
 
-A point x is a gain in the coordinates of a `Landscape`, the same for all terms of a problem.
+A point x is a gain in the coordinates of a `Landscape`, which are the same for all terms of a problem.
 """
 
 from abc import ABC, abstractmethod
@@ -15,13 +15,14 @@ from synth.design.descent.landscape import Cuts, Landscape
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """F smooth functions that bound a term from below near a point.
+    """Set of F smooth functions that bound a term from below near a point.
 
     Attributes:
         values: values at the point, shape (F,).
         slopes: slopes at the point, shape (F, N).
-        touching: True for functions that are local maxima of the term at the point, whose curvature counts, shape (F,).
-        cuts: the term's own identification of the functions.
+        touching: True for functions that equal a local maximum of the term at the point, shape (F,). Only these contribute to
+            the curvature.
+        cuts: data that identifies the functions, in a format of the term.
     """
 
     values: Array
@@ -31,10 +32,10 @@ class Linearisation:
 
 
 class Term(ABC):
-    """A function of the gain.
+    """Scalar function of the gain that is minimised or bounded.
 
     Attributes:
-        unit: the value that counts as one: a bound, or the best known value.
+        unit: value that counts as one: a bound, or the best known value.
         name: description of the bounded quantity.
     """
 
@@ -43,36 +44,39 @@ class Term(ABC):
 
     @abstractmethod
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value in its unit, or a lower bound once that exceeds `above`; infinite if the loop is unstable."""
+        """Returns the value at x in its unit.
+
+        If the value exceeds `above`, it may return a lower bound; infinite if the loop is unstable.
+        """
 
     @abstractmethod
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the functions that come within a share `depth` of the term's value at a point."""
+        """Returns the functions whose values at x are at least (1 - depth) times the value of the term."""
 
     @abstractmethod
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the functions of `Linearisation.cuts` at another point."""
+        """Returns the functions that `Linearisation.cuts` identifies at another point."""
 
     def cut(self, x: Array, value: float) -> Any:
-        """Returns the cuts of the functions that reach the value last returned by `value`, at its point x."""
+        """Returns the cuts of the functions that reach the value that `value` last returned, at the same point x."""
         return self.support(x, value, 0.0).cuts
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Returns the weighted sum of second derivatives of the touching functions, shape (N, N); unknown ones count as zero.
+        """Returns the weighted sum of the second derivatives of the touching functions, shape (N, N); zero if they are unknown.
 
         Args:
-            x: point of the support.
+            x: point at which `support` was computed.
             weights: weights of all functions of the support, shape (F,).
         """
         return np.zeros((len(x), len(x)))
 
 
 class NormTerm(Term):
-    """The largest gain from w to z of one plant, in the band of a landscape."""
+    """Largest gain from w to z of one plant, in the frequency band of a landscape."""
 
     def __init__(self, landscape: Landscape, unit: float = 1.0, name: str = "") -> None:
         self.landscape, self.unit, self.name = landscape, unit, name
-        self.peak = np.inf  # rad/s, at the last point
+        self.peak = np.inf  # peak frequency at the last point [rad/s]
 
     def value(self, x: Array, above: float = np.inf) -> float:
         """Returns the norm."""
@@ -80,22 +84,22 @@ class NormTerm(Term):
         return height / self.unit
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the gains at all local maxima within a share of the highest one."""
+        """Returns the gains at all local maxima that are close to the highest peak."""
         height = value * self.unit
         omega = self.landscape.summits(x, height * (1 - depth))
         return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)
 
     def cut(self, x: Array, value: float) -> Cuts:
-        """Returns the cut of the peak that was found last; none if the peak is at an infinite frequency."""
+        """Returns the cut at the last peak; no cut if the peak is at infinite frequency."""
         omega = np.array([self.peak])
         return self.landscape.cuts(x, omega[np.isfinite(omega)], value * self.unit)
 
     def reevaluate(self, x: Array, cuts: Cuts) -> Linearisation:
-        """Returns the gains at the same frequencies for another point, where they need not be maxima."""
+        """Returns the gains at the same frequencies at another point. These gains need not be local maxima."""
         return self._made(x, cuts, touching=False)
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Returns the curvature of the peaks that the cuts belong to."""
+        """Returns the curvature of the peaks to which the cuts belong."""
         active = support.touching & (weights > 1e-3 * weights.max(initial=0.0))
         if not active.any():
             return np.zeros((len(x), len(x)))

@@ -1,1 +1,1 @@
-"""Laws of a given order or structure, from one search: a law with states is a static gain of a larger plant."""
+"""Laws with a given order or structure. The search treats a law with states as a static gain of a larger plant."""

@@ -1,14 +1,16 @@
-"""Laws of a given order or structure for the least norm, by descent from several starts; the lowest end is taken.
+"""Design of laws with a given order or structure for the smallest norm, by descent from several starts.
 
-A law of k states is one of k + 1 states, too, so orders are gone through from a static gain up. Each starts from
+A law with k states is also a law with k + 1 states, so the search increases the order step by step from a static gain. The
+search for each order starts from
 
-- laws of full order, reduced (`reduction.py`), those next to the least norm and slower ones;
-- the static gain, and the law of one state less, with a state appended that reads and does not act yet;
-- samples of every size, where none of these is stable.
+- reduced laws of full order (`reduction.py`): laws close to the smallest norm, and slower laws;
+- the law with one state less, with an additional state that receives the measurements but has no effect yet;
+- random laws of every magnitude, if none of these laws is stable.
 
-The search is that of static gains (`design/static.py`), on the plant with the law's states, within the structure of its gain
-(`pattern.py`). An end that needs poles beyond any actuator is sought again within smaller gains. It stops early where an order
-comes to what no controller beats: then the law has fewer states than it may.
+The search is that of static gains (`design/static.py`). The plant then includes the law's states, and the gain has the zeros
+that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
+smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
+allowed.
 """
 
 import contextlib
@@ -46,16 +48,17 @@ from synth.plant.generalized import Plant, check_inputs, check_posed
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import speed
 
-LIMITS = (100.0, 10.0, 3.0)  # on a gain's entries, in units in which 1 moves poles as fast as the plant's: the first not too fast
-AT_LIMIT = 0.999  # of a limit; an entry this large is stopped by it
-WIDER = (1e4, 100.0, 10.0)  # times a limit that stops a descent: how far it goes on
-POLES = (0.1, 1.0, 10.0)  # of an appended state, times the plant's speed
-READS = 0.1  # what it reads, in these units
-SHARES = (1e-1, 1e-2, 1e-3)  # of noise and cost, with which laws of full order are made,
-MARGINS = (1e-2, 1e-1, 1.0)  # and how far above the least gamma, relative
-STARTS_OF_A_KIND = 4  # starts of a kind that go down
-FEW = 2  # stabilising starts of a static gain, where a law may have states
-SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
+# limits on the entries of a gain, in units in which 1 moves poles as fast as the plant's; the first that is slow enough counts
+LIMITS = (100.0, 10.0, 3.0)
+AT_LIMIT = 0.999  # share of a limit; an entry above it counts as stopped by the limit
+WIDER = (1e4, 100.0, 10.0)  # factors for a limit that stopped a descent, with which the descent continues
+POLES = (0.1, 1.0, 10.0)  # poles of an additional state, relative to the plant's speed
+READS = 0.1  # gain from the measurements to an additional state, in the same units
+SHARES = (1e-1, 1e-2, 1e-3)  # shares of noise and cost in the design of full-order laws
+MARGINS = (1e-2, 1e-1, 1.0)  # relative distances of these laws from the smallest feasible gamma
+STARTS_OF_A_KIND = 4  # number of starts per origin that descend
+FEW = 2  # number of stabilising starts of a static gain, if the law may have states
+SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # shifts of the poles of a law, relative to the plant's speed
 SEED = 20261126
 NO_LAW = "no law of this structure with a stable loop was found; measure more signals, or allow more states"
 CAPPED_REMARK = "an entry of the law is at the limit of the search: a larger entry may give a lower norm, but faster poles"
@@ -63,7 +66,7 @@ ONE_STATE = LawStructure(1)
 
 
 class End(NamedTuple):
-    """A law at the end of a search, the start that led to the law, in words, and the certificate."""
+    """Law at the end of a search, the start that led to it, as text, and its certificate."""
 
     law: LinearLaw
     origin: str
@@ -82,23 +85,27 @@ def fixed_order_design(
     on_found: Callable[[LinearLaw], None] = lambda law: None,
     work: Work | None = None,
 ) -> DesignResult:
-    """Returns the law of the least norm that descents find, of a given order or structure, with its certificate.
+    """Designs the law of a given order or structure with the smallest norm that descents find.
 
     Args:
-        plant: n states, m inputs and q measurements, continuous or discrete; with Dyu only if it is continuous.
+        plant: generalised plant with n states, m inputs and q measurements, continuous or discrete. Only a continuous plant may
+            have Dyu.
         structure: structure of the law.
-        lower_bound: lower bound for any controller from these measurements, if known.
+        lower_bound: lower bound on the norm of every controller from these measurements; computed by default.
         states: names of the states, for messages.
-        stable: True for a law that is stable by itself.
-        as_run: returns a law as it is run, as for `full_order_design`.
-        known: laws of this structure, also of fewer states, as the only starts.
-        on_found: callback that receives the best law of fewer states, each time that a law of more states exists.
-        work: counts the norms of the search; where it is over, the best so far is returned. About 14 s of processor time for a
-            plant of 8 states if it is not given.
+        stable: True if the law itself must be stable.
+        as_run: function that converts a designed law to the law that runs, as in `full_order_design`.
+        known: laws of this structure, also with fewer states. If they are given, the search starts only from them.
+        on_found: function that receives the best law of the previous order before the search for the next order.
+        work: counter of the norms. If its limit is exceeded, the best law so far is returned. The default limit is about 14 s
+            of processor time for a plant with 8 states.
+
+    Returns:
+        The law with its certificate, and the start that led to it. The law may have fewer states than the structure allows.
 
     Raises:
-        InputError: a matrix does not fit the plant, or the order is more than the plant's.
-        InfeasibleError: no law of this kind stabilises the plant; the message names the mode.
+        InputError: a matrix does not fit the plant, or the order exceeds that of the plant.
+        InfeasibleError: no law of this type stabilises the plant; the message describes the mode.
         DesignError: no law was found.
 
     Example:
@@ -153,13 +160,13 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> st
 
 
 def gains_text(structure: LawStructure, law: LinearLaw) -> str:
-    """Returns the gains of a PI or PID law as in `pid` of a vehicle file, a table for each force."""
+    """Returns the gains of a PI or PID law as in `pid` of a vehicle file, one table per force."""
     filter = {FILTER: structure.filter} if structure.kind == PID else {}
     return pid_tables([dict(zip(GAINS, each, strict=False)) | filter for each in gains_on_filters(structure, law)])
 
 
 class _Search:
-    """The search for one plant."""
+    """Search for one plant."""
 
     def __init__(
         self,
@@ -177,7 +184,7 @@ class _Search:
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
-        """Raises an InfeasibleError if a single mode keeps every law from stabilising, that of an integrator too."""
+        """Raises an InfeasibleError if a single mode, including that of an integrator, prevents every law from stabilising."""
         if reasons := "; ".join(stabilisability_failures(self.plant, states)):
             raise InfeasibleError(reasons)
         if structure.kind:
@@ -200,9 +207,9 @@ class _Search:
         known: Sequence[LinearLaw],
         on_found: Callable[[LinearLaw], None],
     ) -> End:
-        """Returns the lowest end; see `fixed_order_design` for the arguments.
+        """Searches order by order, and returns the law with the smallest norm; see `fixed_order_design` for the arguments.
 
-        The law of each order is a start of the search for the next order.
+        The law of each order is also a start for the next order.
         """
         if structure.kind:
             return self.of_filters(structure, known)
@@ -217,7 +224,7 @@ class _Search:
                 if self.work.over or found.certificate.norm.value <= self.enough:
                     break
             if 0 < one.order < order and self.work.done > self.work.limit / 2:
-                continue  # what is left is for the order that is asked
+                continue  # the remaining work is reserved for the requested order
             starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full) if one.order]
             if found is not None:
                 starts += [(law, "a law with one state less") for law in self.appended(one, found.law)]
@@ -230,13 +237,13 @@ class _Search:
 
     @property
     def no_law(self) -> str:
-        """Why there is no law, in words."""
+        """Message that explains why there is no law."""
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:
-        """Returns the law of PI or PID at the end of a descent that keeps a tenth of the decay of its start.
+        """Designs a PI or PID law by a descent that keeps at least a tenth of the decay rate of its start.
 
-        Without that the integral's gain would often tend to zero: a norm at all frequencies does not ask for it.
+        Without this condition the integral gain often tends to zero, because the norm over all frequencies does not require it.
 
         Raises:
             DesignError: no gain makes the loop stable.
@@ -257,10 +264,12 @@ class _Search:
         return end
 
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
-        """Returns laws of full order, slow ones and faster ones that come nearer to the bound; none where forces act on readings.
+        """Returns full-order laws: slow laws, and faster laws closer to the lower bound.
+
+        The list is empty if forces act directly on measurements.
 
         Args:
-            best: True for the design of full order itself, too.
+            best: True to include the full-order design itself.
         """
         if np.any(self.plant.Dyu):
             return []
@@ -281,7 +290,7 @@ class _Search:
         return laws
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
-        """Returns laws of a structure by reduction of a full-order law, separately for each force with a law of its own."""
+        """Reduces a full-order law to laws of a structure. If each force has its own law, each is reduced separately."""
         reduce = partial(reductions, self.plant)
         if structure.rows is None:
             return [*reduce(full, structure.order)]
@@ -292,11 +301,14 @@ class _Search:
         return [_sum(laws) for laws in zip(*each, strict=False)]
 
     def filled(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws of a structure from one of as many states or fewer, as a law of full order that needs none has."""
+        """Returns laws of a structure from a law with at most as many states.
+
+        A full-order law may have fewer states than its order.
+        """
         return [law] if law.states == structure.states(len(law.D)) else self.appended(structure, law)
 
     def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws of the same loop with further states, which read what is measured and do not act."""
+        """Returns laws with further states and the same loop. The new states receive the measurements, but have no effect."""
         (m, q), rows, dt = law.D.shape, structure.rows, self.plant.dt
         count = m if rows is not None else 1
         size = law.states // count
@@ -316,7 +328,7 @@ class _Search:
         return laws
 
     def of(self, problem: StructuredGain, states: int, limit: float) -> GainSearch:
-        """The search for a static gain that is a law of so many states."""
+        """Returns the search for a static gain that represents a law with a given number of states."""
         alike = partial(in_equal_units, states=states)
         search = GainSearch(problem.plant, 1.0, self.below.gamma, problem.free, alike, WITHIN, work=self.work)
         search.limit, self.enough = np.full(len(search.limit), limit), search.enough
@@ -330,13 +342,13 @@ class _Search:
         whole: bool = True,
         sought: int = 0,
     ) -> End:
-        """Returns the law at the lowest end, not too fast if may be.
+        """Returns the law with the smallest norm that the search finds, slow enough for an actuator if possible.
 
         Args:
-            starts: laws of this structure, or of fewer states; where none of them is stable, others are sought.
-            origin: name of the start, where the search finds its own.
-            whole: True for a search to its end, False for its first descents alone.
-            sought: number of stabilising starts that are tried where no start is stable.
+            starts: laws of this structure, or with fewer states, each with a name. If none is stable, other starts are used.
+            origin: name of the start in the result; by default that of the best start.
+            whole: True to run the search to its end; False for its first descents only.
+            sought: number of stabilising starts that are tried if none of `starts` is stable.
 
         Raises:
             DesignError: no start is stable.
@@ -372,9 +384,10 @@ class _Search:
         return slowest
 
     def further(self, problem: StructuredGain, states: int, best: Candidate, limit: float, end: End) -> End:
-        """Returns the law of a descent beyond the limit on entries that one stopped at, if it is lower and not too fast.
+        """Continues a descent that a limit on the entries stopped.
 
-        A pole of a chain of integrators moves as a root of the entry, so that larger entries need not make it too fast.
+        Returns the new law if its norm is lower and it is slow enough. In a chain of integrators, a pole moves with a root of
+        the entry. A larger entry need not make it too fast.
         """
         for wider in WIDER:
             search = self.of(problem, states, wider * limit)
@@ -388,7 +401,10 @@ class _Search:
         return end
 
     def beyond_rounding(self, law: LinearLaw, origin: str) -> End:
-        """Returns a law with its certificate; where a pole of no effect stays at 0, the law's poles move left a little."""
+        """Returns a law with its certificate.
+
+        If a pole without effect stays at 0, the poles of the law are shifted slightly to the left.
+        """
         end = End(law, origin, self.certified(law))
         for shift in SHIFTS * bool(law.states and np.any(end.certificate.stability.on_axis)):
             rate, dt = shift * self.fastest, self.plant.dt
@@ -399,7 +415,7 @@ class _Search:
         return end
 
     def made_stable(self, problem: StructuredGain, laws: Sequence[LinearLaw]) -> LinearLaw | None:
-        """Returns the best law that is stable by itself, by descent from those of these that are; None if none is."""
+        """Returns the best law that is itself stable, by descent from the stable ones of `laws`; None if no law is stable."""
         fits = [law for law in laws if not self.as_run(law).growth]
         if laws[0] in fits[:1]:
             return laws[0]
@@ -415,6 +431,6 @@ class _Search:
 
 
 def _sum(laws: Sequence[LinearLaw]) -> LinearLaw:
-    """Returns the sum of laws, each with states of its own."""
+    """Returns the sum of laws, each with its own states."""
     A, D = np.asarray(linalg.block_diag(*(law.A for law in laws))), np.sum([law.D for law in laws], axis=0)
     return LinearLaw(A, np.vstack([law.B for law in laws]), np.hstack([law.C for law in laws]), D, laws[0].sample_period)

@@ -1,9 +1,9 @@
-"""A structure of a law as a static gain of a larger plant, and the way back.
+"""Conversion of a law with a given structure to a static gain of a larger plant, and back.
 
-A law of k states is u = D y + C x_c, v = B y + A x_c on the plant with k integrators x_c' = v (`plant/augmented.py`): its gain is
-[D, C; B, A]. Laws of their own for each force make it block diagonal, up to the order of rows and columns. PI and PID are static
-gains on what fixed filters make of the measurements: y, its integral, and its filtered derivative. So every structure is linear,
-some entries of a gain that are free and zeros elsewhere.
+A law with k states is u = D y + C x_c, v = B y + A x_c on the plant with k integrators x_c' = v (`plant/augmented.py`). The
+gain of this law is [D, C; B, A]. If each force has its own law, this gain is block diagonal, up to the order of rows and
+columns. PI and PID laws are static gains on the outputs of fixed filters: y, its integral, and its filtered derivative. Every
+structure is thus a gain in which some entries are free and the others are zero.
 """
 
 from dataclasses import dataclass, replace
@@ -17,17 +17,18 @@ from models.laws.linear import LinearLaw
 from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant, gain_law, law_gain
 
-SWEEPS = 10  # of balancing
+SWEEPS = 10  # iterations of balancing
 
 
 @dataclass(frozen=True, eq=False)
 class StructuredGain:
-    """A plant on which a law of some structure is a static gain.
+    """Plant for which a law of a given structure is a static gain.
 
     Attributes:
-        plant: n + k states, with the measurements of the gain.
-        free: True for entries of the gain that may be other than zero, shape (m + k, q + k), or (m, q') of filters.
-        filters: filters of the measurements, if the gain is on their outputs; None if the gain is [D, C; B, A].
+        plant: plant with n + k states, and the measurements of the gain.
+        free: True for entries of the gain that may be nonzero, shape (m + k, q + k). With filters, the shape is (m, number of
+            filter outputs).
+        filters: filters of the measurements, if the gain is a gain on their outputs; None if the gain is [D, C; B, A].
         shape: shape of the law's D, (m, q).
     """
 
@@ -37,7 +38,7 @@ class StructuredGain:
     shape: tuple[int, int]
 
     def law(self, gain: Array) -> LinearLaw:
-        """Returns the law of a gain."""
+        """Returns the law that belongs to a gain."""
         if self.filters is not None:
             one = self.filters
             return LinearLaw(one.A, one.B, gain @ one.C, gain @ one.D, one.sample_period)
@@ -46,18 +47,18 @@ class StructuredGain:
         return gain_law(gain, m, q, dt)
 
     def gain(self, law: LinearLaw) -> Array:
-        """Returns the gain of a law, without what the structure does not have."""
+        """Returns the gain that belongs to a law, with zeros where the structure requires them."""
         if self.filters is not None:
             return np.where(self.free, _on(self.filters, law), 0.0)
         return np.where(self.free, law_gain(law), 0.0)
 
 
 def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
-    """Returns the plant on which laws of a structure are static gains.
+    """Returns the plant for which laws of a structure are static gains.
 
     Args:
-        structure: structure of the law; an order of 0 is a static gain.
-        plant: n states, m inputs and q measurements, continuous or discrete.
+        structure: structure of the law. An order of 0 means a static gain.
+        plant: generalised plant with n states, m inputs and q measurements, continuous or discrete.
     """
     q, m = plant.Dyu.shape
     rows = np.ones((1, q), dtype=bool) if structure.rows is None else np.array(structure.rows, dtype=bool)
@@ -65,7 +66,7 @@ def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
         return _on_filters(structure, rows, plant)
     each, count = structure.order, len(rows)
     k = each * count
-    owner = np.repeat(np.arange(count), each)  # of each state
+    owner = np.repeat(np.arange(count), each)  # force to which each state of the law belongs
     own = np.equal.outer(owner, owner)
     if structure.rows is None:
         free = np.ones((m + k, q + k), dtype=bool)
@@ -75,7 +76,10 @@ def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
 
 
 def _on_filters(structure: LawStructure, rows: Array, plant: Plant) -> StructuredGain:
-    """The plant with the filters of PI or PID behind its measurements; a discrete plant has them as a computer runs them."""
+    """Returns the plant with the filters of PI or PID after its measurements.
+
+    For a discrete plant, the filters are discrete.
+    """
     m, (q, n) = len(rows), plant.Cy.shape
     filters = _filters(structure, rows, plant.dt)
     parts = len(filters.D) // m
@@ -97,7 +101,7 @@ def _on_filters(structure: LawStructure, rows: Array, plant: Plant) -> Structure
 
 
 def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
-    """Returns kp, ki and, of PID, kd of a law of such a structure, a row for each force."""
+    """Returns the gains kp, ki and (for PID) kd of a law with this structure, one row per force."""
     rows = np.array(structure.rows, dtype=float)
     filters = _filters(structure, rows, law.sample_period)
     parts = len(filters.D) // len(rows)
@@ -106,22 +110,22 @@ def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
 
 
 def _on(filters: LinearLaw, law: LinearLaw) -> Array:
-    """The gain on what filters give that makes a law of their states; their outputs are independent of one another."""
+    """Returns the gain on the filter outputs that equals a law with the same states. The filter outputs are independent."""
     made = np.hstack([filters.C, filters.D])
     return np.linalg.lstsq(made.T, np.hstack([law.C, law.D]).T, rcond=None)[0].T
 
 
 def _filters(structure: LawStructure, rows: Array, period: float | None) -> LinearLaw:
-    """The filters of PI or PID of all forces, from all measurements; of a discrete plant as a computer runs them."""
+    """Returns the filters of PI or PID for all forces, from all measurements; discrete filters if a period is given."""
     one = pid_filter(structure.kind, structure.filter)
     all_of = side_by_side(one if period is None else one.sampled(period), len(rows))
     return replace(all_of, B=all_of.B @ rows, D=all_of.D @ rows)
 
 
 def in_equal_units(landscape: Landscape, x: Array, states: int) -> Array:
-    """Returns the point of the same loop in which the row and the column of each state have one size (Osborne 1960), shape (N,).
+    """Returns an equivalent point where row and column of each state have the same norm (Osborne 1960), shape (N,).
 
-    Laws that differ by the units of their states make the same loop. The entries of this point are the smallest.
+    Laws that differ only in the units of their states have the same loop. This point has the smallest entries.
     """
     if not states:
         return x

@@ -1,11 +1,11 @@
-"""Laws of fewer states with nearly the same response: several reductions; descent continues from the best.
+"""Laws with fewer states and nearly the same response, by several reductions. Descent continues from the best one.
 
-- Balanced truncation (Moore 1981) of the law's stable part, whose unstable part is kept.
-- Truncation balanced within the closed loop: by what w makes of the law's states, and what z sees of these (Enns 1984, with the
-  loop as weights). It asks nothing of the law's own stability.
-- Both with the states that are left out at rest instead of zero (singular perturbation; Liu, Anderson 1989).
+- Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept.
+- Truncation with balancing in the closed loop (Enns 1984, with the loop as weights). The Gramians describe how w excites the
+  law's states, and how these affect z. The law itself may be unstable.
+- Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are in equilibrium instead of zero.
 
-None promises a stable loop: whoever takes one looks at its loop.
+None of these methods guarantees a stable loop, so the caller must check the loop.
 """
 
 import contextlib
@@ -23,7 +23,10 @@ from synth.plant.generalized import Plant
 
 
 def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
-    """Yields laws of k states, on the measurements of a plant, from a law of at least as many; itself if it has no more."""
+    """Yields laws with k states, reduced from a law with at least as many states.
+
+    A law with at most k states is returned unchanged.
+    """
     if law.states <= k:
         yield law
         return
@@ -54,7 +57,7 @@ def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
 
 
 def bilinear(law: LinearLaw, period: float) -> LinearLaw:
-    """Returns the discrete law whose `continuous` is this one (Tustin)."""
+    """Returns the discrete law for which `continuous` returns this law (Tustin's map)."""
     if not law.states:
         return LinearLaw(law.A, law.B, law.C, law.D, period)
     turned, root = np.linalg.inv(np.eye(law.states) - period / 2 * law.A), np.sqrt(period)
@@ -71,13 +74,14 @@ def bilinear(law: LinearLaw, period: float) -> LinearLaw:
 def _gramian(A: Array, B: Array, dt: float | None) -> Array:
     square = B @ B.T
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # poles that nearly cancel: a poor reduction, one among others
+        # poles that nearly cancel give a poor reduction, which is one of several
+        warnings.simplefilter("ignore", RuntimeWarning)
         gramian = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
     return (gramian + gramian.T) / 2
 
 
 def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:
-    """The law without its states of small balanced Gramians, these at zero and at rest."""
+    """Yields the law without the states of small balanced Gramians, first with these at zero, then in equilibrium."""
     roots = [directions * np.sqrt(np.maximum(sizes, 0.0)) for sizes, directions in map(np.linalg.eigh, (reached, seen))]
     left, sizes, right = np.linalg.svd(roots[1].T @ roots[0])
     kept = np.maximum(sizes, 1e-14 * sizes[0] if sizes[0] > 0 else 1.0)

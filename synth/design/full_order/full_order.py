@@ -1,11 +1,11 @@
-"""Full-order H-infinity output feedback: as many states as the plant, and a norm next to what no controller can beat.
+"""Full-order H-infinity output feedback: as many states as the plant, and a norm close to the lower bound for all controllers.
 
-Riccati equations lead there (`riccati.py`). Where what they lead to stays above it, or its proof is lost by rounding, descents
-are tried beside them; of all controllers the best that can be proved is taken. The central law is one of a family, and where its
-regularisation costs something another may be nearer and slower. A controller of fewer states, down to a static gain, is one of
-full order, too.
+The laws come from Riccati equations (`riccati.py`). If their norm stays above the lower bound, or rounding prevents its proof,
+descents are tried in addition. The best law that can be proved is returned. The central law is one of a family of laws. If its
+regularisation raises the norm, another law may be closer to the bound and slower. Controllers with fewer states, down to static
+gains, also count as full-order controllers.
 
-A discrete plant is designed as the continuous one that it is mapped to.
+A discrete plant is mapped to a continuous plant for the design.
 """
 
 import contextlib
@@ -34,22 +34,22 @@ from synth.plant.generalized import Plant, check_inputs, check_posed, gain_law, 
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 RICCATI = "Riccati equations for the least norm"
-SINGULAR = 1e-12  # relative; what is this small is zero
+SINGULAR = 1e-12  # relative; a smaller value counts as zero
 
 
 def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLaw:
-    """Returns the law on the measurements of a discrete plant with the loop of a law on y = C_y x + Dyw w of its image.
+    """Converts a law for the continuous image of a discrete plant to a law for the discrete plant, with the same closed loop.
 
-    What is measured of the mapped plant contains Dyu u, which the law takes out; then Tustin's map takes it back, and the gain
-    that was closed before is joined to it.
+    The measurements of the image contain Dyu u. The law first subtracts this part. Tustin's map then gives the discrete law,
+    and the gain that was closed before is added.
 
     Args:
-        law: law in continuous time.
+        law: law in continuous time on y = C_y x + Dyw w of the image.
         image, K0: result of `continuous_image`.
-        dt: seconds between samples.
+        dt: sample period [s].
 
     Raises:
-        DesignError: the law has no finite value at infinity, which is z = -1.
+        DesignError: the law is infinite at s = infinity, which Tustin's map takes to z = -1.
         LinAlgError: the law has a pole at 2 / dt.
     """
     A, B, C, D = law.A, law.B, law.C, law.D
@@ -67,26 +67,26 @@ def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLa
     return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + K0, dt)
 
 
-BEYOND = 10.0  # times the gain that makes poles as fast as they may be
-SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
-STAGES, ROUNDS = 20, 60  # of the descent of a law
-LEAST_FALL = 3e-4  # relative; a stage that falls by less is the last
-MOST = 100  # numbers of a law with which a descent takes seconds
+BEYOND = 10.0  # multiple of the gain that moves poles to the allowed speed
+SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # factors for a gain, 5 % apart
+STAGES, ROUNDS = 20, 60  # largest number of stages of the descent of a law, and rounds per stage
+LEAST_FALL = 3e-4  # relative; the descent ends if a stage lowers the norm by less
+MOST = 100  # largest number of entries of a law for which a descent takes only seconds
 
 
 def numbers(search: RiccatiSearch) -> int:
-    """Returns how many numbers a law of full order has."""
+    """Returns the number of entries of a full-order law."""
     n, m = search.own.plant.B.shape
     return (n + m) * (n + len(search.own.plant.Cy))
 
 
 def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
-    """Returns the laws at the ends of the stages of a descent from a law, among those of its order; empty without any.
+    """Improves a law by descent over laws of its order. Returns the law at the end of each stage; an empty list if all fail.
 
     Args:
-        search: search on the plant, whose own units are used.
-        start: the law to descend from.
-        fastest: largest pole, times the plant's own speed, or times that of the start where it is faster.
+        search: search on the plant; its internal units are used.
+        start: law from which the descent starts.
+        fastest: largest allowed pole, relative to the plant's own speed. If the start is faster, the limit is its speed.
     """
     if not start.own.states:
         return []
@@ -99,7 +99,8 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     landscape = Landscape(own.with_states(start.own.states))
     x, enough = landscape.point(law_gain(start.own)), search.bound * (1 + BOUND_TOLERANCE)
     norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
-    for stage in range(STAGES if np.isfinite(norm) else 0):  # first without growth of the entries, then twofold at a time
+    # the first stage allows no growth of the entries, each further stage a factor of two
+    for stage in range(STAGES if np.isfinite(norm) else 0):
         most = float(np.abs(x).max()) * (2 if stage else 1)
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             x, reached = descend_norm(landscape, x, np.full(len(x), most), ROUNDS, enough)
@@ -114,28 +115,31 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
 
 
 def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[TradeOffPoint]:
-    """Returns a static gain, and the best share of it that is not too fast; empty if no gain stabilises.
+    """Returns a static gain, and the best multiple of it that is slow enough; an empty list if no gain stabilises the plant.
 
     Args:
-        search: search on the plant, whose own units are used.
-        fastest: largest pole of the share, times the plant's own speed.
-        rival: norm of a law, in the given units; the search for a gain far above it stops early.
+        search: search on the plant; its internal units are used.
+        fastest: largest allowed pole, relative to the plant's own speed.
+        rival: norm of another law, in the given units. The search ends early for a gain far above it.
     """
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant):
         return []
-    # In own units a gain of one makes poles of size one, of a plant without feedthrough; so do gains that a fast loop needs.
+    # In internal units, a gain of one moves poles to about one, for a plant without feedthrough. A fast loop needs a larger
+    # gain.
     largest = max(LARGEST_GAIN, BEYOND * fastest * search.fastest / own.rate)
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
         gain = static_output_feedback(own.plant, None, largest, LowerBound(search.bound), rival=rival * own.norm).gain
         points.append(search.judged(0.0, static_law(gain)))
-        # Where that is too fast the best that is not lies before it, on the way from no control.
+        # If the gain is too fast, a slower gain lies on the line from no control to it.
         fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
         points.append(lowest(each for each in fractions if each is not None and each.speed_up <= fastest))
     return [each for each in points if each is not None]
 
 
-DEADBEAT = 4.0  # over dt: so fast is z = -1/3 on the map, and z = 0 half as fast; whatever sets a force in each sample can follow
+# multiple of 1/dt: a pole at z = -1/3 on the map, twice as fast as z = 0; an actuator that sets a force in each sample can
+# follow
+DEADBEAT = 4.0
 
 
 @numerics()
@@ -150,25 +154,33 @@ def full_order_design(
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     fastest_pole: Positive | None = None,
 ) -> DesignResult:
-    """A full-order controller within 0.1 % of what no controller beats, stable and slow if possible; else the nearest.
+    """Designs a full-order controller with a norm within 0.1 % of the lower bound, if possible stable and slow.
 
-    Beyond 100 times the plant's own speed, ten times the speed must be worth 0.1 % of the norm.
+    If no such controller is found, the result is the closest controller found.
+
+    Closed-loop poles faster than 100 times the plant's own speed must be worthwhile: ten times the speed must lower the norm by
+    at least 0.1 %.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n); the plant's own measurements if it is not given.
-        Dyw: shape (q, r); zero where it is not given.
-        lower_bound: lower bound on the norm of any controller from these measurements, if known.
+        plant: generalised plant with n states and m inputs.
+        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+        lower_bound: lower bound on the norm of every controller from these measurements; computed by default.
         states: names of the states, for messages.
-        fastest: largest magnitude of the loop's poles, times the plant's own speed; of a continuous plant.
-        stable: True for a law that is stable by itself.
-        as_run: returns a law as it is run, for a law that takes forces out of what it reads.
-        fastest_pole: limit on the poles of the law in rad/s.
+        fastest: limit on the magnitude of the closed-loop poles, relative to the plant's own speed; for a continuous plant.
+        stable: True if the law itself must be stable.
+        as_run: function that converts a designed law to the law that runs, for example for a law that subtracts forces from its
+            measurements.
+        fastest_pole: limit on the magnitude of the closed-loop poles [rad/s]; None for no limit.
+
+    Returns:
+        The law, its certificate, and the Pareto front of norm and speed as `trade`.
 
     Raises:
-        InputError: a matrix does not fit the plant, nothing disturbs it, or nothing is weighed.
-        InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
-        DesignError: no law was found whose loop is stable beyond rounding, or slow enough, or none that is stable by itself.
+        InputError: a matrix does not fit the plant, no disturbance acts on it, or z is zero.
+        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode.
+        DesignError: no law was found with a loop that is stable despite rounding, or slow enough, or with a law that is itself
+            stable.
 
     Example:
         >>> from synth import GeneralizedPlant, full_order_design
@@ -240,7 +252,7 @@ def full_order_design(
                 f"rad/s; the slowest loop found needs fastest_pole = {rough(trade[0].pole)}: give at least this value"
             )
         raise DesignError(
-            "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
+            "no full-order controller was found whose loop is stable despite rounding (tried: noise and cost from "
             f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size); measure more signals, or use other units"
         )
 
@@ -269,7 +281,7 @@ def full_order_design(
 
 
 def riccati(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a law of full order for the least norm."""
+    """Designs a full-order law with the smallest H-infinity norm."""
     return full_order_design(
         problem.plant,
         lower_bound=problem.lower_bound,
@@ -281,7 +293,7 @@ def riccati(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
-    """Returns the cost of a law that is stable by itself compared with an unstable one, in words."""
+    """Returns the cost of a law that is itself stable, compared with an unstable law, as text."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "the norm does not rise" if share <= WITHIN else f"the norm rises by {percent(share)}"
@@ -291,13 +303,13 @@ def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw
 
 
 def _slowest(law: LinearLaw) -> float:
-    """Returns the real part of a law's slowest pole [1/s]."""
+    """Returns the real part of a law's slowest pole, in continuous time [1/s]."""
     poles = np.linalg.eigvals(law.A)
     return float(poles.real.max()) if law.sample_period is None else float(np.log(np.abs(poles).max()) / law.sample_period)
 
 
 def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBound) -> str:
-    """Returns the distance of a controller from a bound and the cost of a nearer one, in words; empty if it is near."""
+    """Returns the distance of a controller to the lower bound, and the cost of a closer one, as text; empty if it is close."""
     bound = below.gamma
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
@@ -312,7 +324,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBou
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Returns the sample period that a fast pole requires and the cost of a slower law, in words; empty without one."""
+    """Returns the sample period that a fast pole requires, and the cost of a slower law, as text; empty if no pole is fast."""
     if best.excess == 1:
         return ""
     slower = next((each for each in reversed(trade) if each.excess == 1), None)
@@ -324,6 +336,6 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
 
 
 def _upwards(pole: float) -> float:
-    """Returns a pole with two digits, rounded up."""
+    """Returns the magnitude of a pole with two digits, rounded up."""
     unit = 10.0 ** (np.floor(np.log10(pole)) - 1)
     return float(np.ceil(pole / unit) * unit)

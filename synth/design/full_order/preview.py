@@ -1,15 +1,15 @@
-"""Preview LQ: the law with the least mean square of z if the disturbance is known for a while ahead (Tomizuka 1975; Hac 1992).
+"""Preview LQ control: the smallest mean square of z if the disturbance is known in advance (Tomizuka 1975; Hac 1992).
 
-z = C x + D u, and w is white noise that is known from now to T seconds ahead. With X and K of the Riccati equation of LQR, R =
-D'D and A_K = A + B K,
+Here z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are those of the Riccati equation
+of LQR. With R = D'D and A_K = A + B K, the force is
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 
-The feedback is that of LQR, and the preview changes no pole. It reduces the mean square of z to
+The feedback is that of LQR, so preview does not change the poles. Preview reduces the mean square of z to
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
 
-which falls as T grows, and is that of LQR for T = 0. The integral follows from a Lyapunov equation.
+The mean square falls as T grows, and for T = 0 it is that of LQR. The integral is computed with a Lyapunov equation.
 """
 
 from collections.abc import Sequence
@@ -30,18 +30,24 @@ from synth.plant.units import own_units
 
 @numerics()
 def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy: Array | None = None) -> DesignResult:
-    """The law of the state and the coming disturbance with the smallest mean square of z. D_w is left out, as by `lqr_design`.
+    """Designs the law with the smallest mean square of z if w is known in advance.
+
+    D_w is ignored, as in `lqr_design`.
 
     Args:
-        plant: n states, m inputs, r disturbances.
-        preview: T, how far ahead w is known [s].
+        plant: generalised plant with n states, m inputs and r disturbances.
+        preview: time T by which w is known in advance [s].
         states: names of the states, for messages.
-        Cy: measurements that are the state in other coordinates, shape (q, n). Default: those of the plant, or without
-            any the state itself.
+        Cy: measurements that determine the state, shape (q, n). By default those of the plant, or the state itself if the plant
+            has no measurements.
+
+    Returns:
+        The feedback law, and its `preview`: the force from the disturbance ahead. `h2_norm` is with preview, `without` is
+            without.
 
     Raises:
-        InputError: errors of `lqr_design`, or a preview that is not allowed.
-        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        InputError: errors of `lqr_design`, or the preview time is not allowed.
+        InfeasibleError: the plant cannot be stabilised; the message describes the mode.
         DesignError: errors of `lqr_design`, or z does not weight every force.
 
     Example:
@@ -77,6 +83,6 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
 
 
 def preview(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs the law of the state and of the road ahead."""
+    """Designs the feedback law together with the force from the road ahead."""
     result = preview_design(problem.plant, problem.preview, problem.states, problem.plant.Cy)
     return replace(result, certificate=replace(result.certificate, below=problem.lower_bound))

@@ -1,15 +1,16 @@
-"""LQR, LQG and H2: controllers with the least mean square of z for the same weights, for comparison with the worst case.
+"""LQR, LQG and H2: controllers with the smallest mean square of z, for comparison with H-infinity controllers.
 
-The disturbance w is white noise of intensity one, and the root of the mean square of z is the H2 norm of the loop. With the whole
-state the controller is a gain (LQR). With noisy measurements it is that gain on the state that a Kalman filter estimates. No
-linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+The disturbance w is white noise of intensity one, and the root mean square of z is the H2 norm of the loop. If all states are
+measured, the controller is a gain (LQR). With noisy measurements, this gain acts on the state estimate of a Kalman filter. No
+linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
-LQG and H2 are one problem: LQG with separate noise of each measurement, H2 with z and y of a generalized plant. If a measurement
-has no noise, or a force no cost, the problem is singular. Then a small share of either is assumed, in the plant's own units, with
-a remark. Given noise and cost are used unchanged, however small: inputs and measurements are scaled to one, so that the Riccati
-equations contain no small numbers. An integral that is measured without noise is not estimated: it acts on z alone.
+LQG and H2 are the same problem. LQG takes a separate noise of each measurement, and H2 takes z and y of a generalised plant. If
+a measurement has no noise, or a force has no cost, the problem is singular. A small share of noise or cost is then assumed, in
+the plant's internal units, with a remark. Given noise and cost are used unchanged, even if they are small. Inputs and
+measurements are scaled to one, so that the Riccati equations contain no small numbers. An integral that is measured without
+noise is not estimated, because it only acts on z.
 
-White noise through Dw has no mean square. No control changes it, and it is omitted.
+White noise through Dw has an infinite mean square. No control changes it, so it is omitted.
 """
 
 from collections.abc import Sequence
@@ -30,22 +31,26 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", without its direct effect on z, whose power is infinite"
-ASSUMED_SIZE = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
-NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves of a sum that is zero
-LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure
+# relative to the plant's own size; assumed noise of a measurement without noise, and assumed cost of a force without cost
+ASSUMED_SIZE = 1e-2
+NOTHING = 1e-13  # relative to the plant's own size; a smaller value is a rounding error of zero
+LITTLE = 1e-6  # relative to the plant's own size; smaller noise or cost may be the reason for a failure
 
 
 def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
-    """The state feedback u = K x with the smallest mean square of z, whatever of the states is disturbed.
+    """Designs the state feedback u = K x with the smallest mean square of z, for any disturbance matrix `Bw`.
 
     Args:
-        plant: n states, m inputs.
+        plant: generalised plant with n states and m inputs.
+
+    Returns:
+        The law u = K x with K of shape (m, n), its certificate, and its H2 norm.
         states: names of the states, for messages.
 
     Raises:
-        InputError: the plant has no state or disturbance, or nothing is weighed.
-        InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: z does not see a mode that does not decay.
+        InputError: the plant has no state or disturbance, or z is zero.
+        InfeasibleError: the plant cannot be stabilised; the message describes the mode.
+        DesignError: z does not contain a mode that does not decay.
 
     Example:
         >>> from synth import GeneralizedPlant, lqr_design
@@ -62,20 +67,23 @@ def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
 def lqg_design(
     plant: Plant, Cy: Array | None = None, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> DesignResult:
-    """Returns the controller of y = C_y x + v with the least mean square of z; v is independent white noise.
+    """Designs the controller of y = C_y x + v with the smallest mean square of z, where v is independent white noise.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n); the plant's own if it is not given.
-        noise: noise of each measurement, shape (q,) [its unit times root of s]: rms sigma, drawn every T seconds, is sigma
-            sqrt(T). (As w has intensity one, B_w and D_w must hold the root of its true one.) Without it a small noise is
-            assumed, with a remark.
+        plant: generalised plant with n states and m inputs.
+        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        noise: noise intensity of each measurement, shape (q,), in [unit of the measurement times sqrt(s)]. Noise with rms sigma
+            that is drawn every T seconds has the intensity sigma sqrt(T). Since w has intensity one, B_w and D_w must contain
+            the square root of its true intensity. By default, a small noise is assumed, with a remark.
+
+    Returns:
+        A law with as many states as the plant, its certificate, and its H2 norm.
         states: names of the states, for messages.
 
     Raises:
-        InputError: C_y or the noise does not fit, or as `lqr_design`.
-        InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
-        DesignError: errors of `lqr_design`, or w does not reach a mode that does not decay.
+        InputError: C_y or the noise does not fit the plant, or errors of `lqr_design`.
+        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode.
+        DesignError: errors of `lqr_design`, or w does not excite a mode that does not decay.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -97,12 +105,15 @@ def lqg_design(
 
 
 def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, states: Sequence[str] = ()) -> DesignResult:
-    """The controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
+    """Designs the controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
 
     Args:
-        plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n); the plant's own measurements if it is not given.
-        Dyw: shape (q, r); zero where it is not given.
+        plant: generalised plant with n states, m inputs and r disturbances.
+        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+
+    Returns:
+        A law with as many states as the plant, its certificate, and its H2 norm.
         states: names of the states, for messages.
 
     Raises:
@@ -121,7 +132,7 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
 
 
 def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs the law of the least mean square, with its law on C_y x + Dyw w; LQR has as many measurements as states.
+    """Designs the law with the smallest mean square of z by `lqr_design`, `lqg_design` or `h2_design`.
 
     Raises:
         DesignError: not every state is measured, as LQR requires.
@@ -139,7 +150,7 @@ def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def state_rows(plant: Plant) -> list[int]:
-    """Returns the indices of as many independent measurements as there are states.
+    """Returns the indices of independent measurements, as many as there are states.
 
     Raises:
         DesignError: not every state is measured.
@@ -154,14 +165,17 @@ def state_rows(plant: Plant) -> list[int]:
 
 
 def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:
-    """Returns a gain on the state as one on measurements y = C_y x, of which these are used, see `state_rows`."""
+    """Converts a gain on the state to a gain on measurements y = C_y x.
+
+    `kept` are the measurements it uses, see `state_rows`.
+    """
     gain = np.zeros((len(law.D), len(Cy)))
     gain[:, kept] = np.linalg.solve(Cy[kept].T, law.D.T).T
     return static_law(gain)
 
 
 def h2_norm(loop: Plant) -> float:
-    """Root of the mean square of z under white noise w, through the states of a stable loop alone."""
+    """Returns the root mean square of z of a stable loop under white noise w, without Dw."""
     A, scale = balance(loop.A)
     Bw, C = loop.Bw / scale[:, None], loop.C * scale
     covariance = linalg.solve_continuous_lyapunov(A, -Bw @ Bw.T)
@@ -170,11 +184,11 @@ def h2_norm(loop: Plant) -> float:
 
 @numerics()
 def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
-    """Returns the law of `lqg_design` without its checks, norm and certificate, for a search of weights.
+    """Returns the law of `lqg_design` without checks, norm and certificate, for a search over weights.
 
     Args:
-        plant: n states, q measurements.
-        noise: noise of each measurement, as for `lqg_design`.
+        plant: generalised plant with n states and q measurements.
+        noise: noise intensity of each measurement, as in `lqg_design`.
 
     Raises:
         DesignError: a Riccati equation has no solution.
@@ -187,13 +201,13 @@ def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
 
 @numerics()
 def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> DesignResult:
-    """Returns the law with the smallest mean square, with the H2 norm as its value.
+    """Designs the law with the smallest mean square of z. The value of the result is the H2 norm.
 
-    The norm is that of the given plant under white noise w and LQG's noise, without regularisation; Dw left out. The certificate
-    is for the worst case of w, without LQG's noise, which has no rms there.
+    The norm is that of the given plant under white noise w and LQG's noise, without regularisation and without Dw. The
+    certificate is for the worst case of w. The certificate excludes LQG's noise, because white noise has no rms.
 
     Args:
-        noise: feedthrough from additional white noise to y, shape (q, k), which affects the mean alone.
+        noise: feedthrough from additional white noise to y, shape (q, k); it only affects the mean square.
     """
     check_inputs(plant)
     shaken = plant if noise is None else plant.with_disturbances(noise)
@@ -225,13 +239,13 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
 
 
 def _assumed_rows(D: Array) -> tuple[Array, float]:
-    """Returns the rows that raise the zero singular values of D to `ASSUMED_SIZE`, and the least of the others.
+    """Returns rows that raise the zero singular values of D to `ASSUMED_SIZE`, and the smallest of its other singular values.
 
     Args:
-        D: shape (d, m).
+        D: matrix with a column for each input, shape (d, m).
 
     Returns:
-        The rows, shape (k, m), and the least singular value that is not zero; infinite if all are.
+        The rows, shape (k, m), and the smallest nonzero singular value; infinite if all are zero.
     """
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(D.shape[1] - len(sizes))])
@@ -240,7 +254,7 @@ def _assumed_rows(D: Array) -> tuple[Array, float]:
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
-    """Returns the best law for an additional cost of forces and noise of measurements, and both in words.
+    """Returns the best law for an additional cost of forces and an additional noise of measurements, with both as text.
 
     Raises:
         DesignError: a Riccati equation has no solution.
@@ -266,7 +280,7 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
 
 
 def _known_states(plant: Plant) -> dict[int, int]:
-    """Returns the states that are read without noise by a row of their own and act on z alone, by that row."""
+    """Returns the states that have their own noise-free measurement and only affect z, as {measurement: state}."""
     known = {}
     for row, (states, noise) in enumerate(zip(plant.Cy, plant.Dyw, strict=True)):
         (there,) = np.nonzero(states)
@@ -276,10 +290,10 @@ def _known_states(plant: Plant) -> dict[int, int]:
 
 
 def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Returns X of a regulator's Riccati equation. With slow modes next to the axis SciPy's balancing may lose it.
+    """Returns X of a regulator's Riccati equation. If slow modes are close to the imaginary axis, SciPy's balancing may fail.
 
     Raises:
-        LinAlgError, ValueError: there is no X with or without balancing.
+        LinAlgError, ValueError: there is no solution, neither with nor without balancing.
     """
     try:
         return linalg.solve_continuous_are(A, B, Q, R, s=S)
@@ -288,12 +302,12 @@ def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> A
 
 
 def _regulator(plant: Plant, more: Array, advice: str) -> Array:
-    """Returns K of the u = K x that minimises the mean square of C x + D u and `more` u, shape (m, n)."""
+    """Returns the gain K, shape (m, n), of the u = K x that minimises the mean square of C x + D u and of `more` u."""
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
-    if not B.shape[1]:  # no force does anything
+    if not B.shape[1]:  # no force has an effect
         return np.zeros((0, len(A)))
     turned, sizes, directions = np.linalg.svd(np.vstack([D, more]), full_matrices=False)
-    each = directions.T / sizes  # of inputs that cost one, and nothing together
+    each = directions.T / sizes  # combinations of inputs with a cost of one, and without cross terms
     B, D = B @ each, turned[: len(D)]
     try:
         X = _stabilising_solution(A, B, C.T @ C, np.eye(len(sizes)), C.T @ D)
@@ -301,5 +315,5 @@ def _regulator(plant: Plant, more: Array, advice: str) -> Array:
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"a Riccati equation has no stabilising solution: {advice}") from error
     if not is_stable(A + B @ K):
-        raise DesignError(f"a Riccati equation has no stabilising solution beyond rounding: {advice}")
+        raise DesignError(f"a Riccati equation has no solution that stabilises the loop despite rounding: {advice}")
     return each @ K

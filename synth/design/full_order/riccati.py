@@ -1,31 +1,31 @@
-"""The search for a full-order controller by Riccati equations, close to the lower bound or on the way to it.
+"""Search for a full-order controller by Riccati equations: a norm close to the lower bound, or a trade-off with speed.
 
-The equations are those of Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1, in its
-names: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats. They require D and Dyw of full rank, and no zero from u to z
-or from w to y on the imaginary axis. With any D11 they require D12 = [0; I] and D21 = [0 I]: z and w are rotated, u and y scaled,
-and both are transformed back. Near the gamma below which no solution exists the solvers return wrong solutions, so each solution
-is checked.
+The equations are those of Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
+are theirs: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats. The equations require D and Dyw of full rank, and no
+zero from u to z or from w to y on the imaginary axis. If D11 is not zero, they require D12 = [0; I] and D21 = [0 I]. Therefore
+z and w are rotated, u and y are scaled, and the result is transformed back. Near the smallest gamma with a solution, the
+solvers return wrong solutions, so each solution is checked.
 
 The order of a law is reduced in two ways. Neither guarantees a good loop, so the loop of a reduced law is checked again.
 
-- *Fast modes* follow their input immediately: they are replaced by their static gain in D_c (residualised; Kokotovic, Khalil,
-  O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
-- *Modes that cancel*, which the measurements hardly reach or the forces hardly show, have small Hankel singular values. They are
-  removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
+- *Fast modes* follow their input almost immediately. Fast modes are replaced by their static gain in D_c (residualisation;
+  Kokotovic, Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
+- *Modes that cancel* have small Hankel singular values: the measurements hardly excite them, or they hardly affect the forces.
+  These modes are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
-Without noise on the measurements, or with a force that costs nothing, the problem is singular: the best observer, or the best
-gain, is infinitely fast, and the Riccati equations have no solution. So a share of noise and of cost is added, in the plant's own
-units, in which a share means the same for all signals. All states are disturbed and weighted a little. The norm of the
-regularised problem also bounds the true loop, which has fewer disturbances and outputs:
+The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
+infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. The size of both is a share of
+the plant's internal units, in which the same share is suitable for all signals. All states are also disturbed and weighted a
+little. The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-and the larger the share, the slower the controller. So shares fall until the wanted gamma is reached, which gives the slowest
-controller that reaches it. If none does, or none that an actuator could follow, the search covers the trade-off between norm and
-speed: the smallest gamma for each share.
+A larger share gives a slower controller. The share therefore falls until the required gamma is reached, which gives the slowest
+controller with this gamma. No share may reach this gamma, or only with controllers too fast for an actuator. The search then
+returns the trade-off of norm and speed: the smallest gamma for each share.
 
-Near the best gamma some poles of the central law go to infinity, and the law without them is as good. So each law that is too
-fast is also tried without its fast poles.
+Near the smallest gamma, some poles of the central law tend to infinity, and the law without these poles is equally good. Each
+law that is too fast is therefore also tried without its fast poles.
 """
 
 import contextlib
@@ -49,21 +49,22 @@ from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
 
-RESIDUAL = 1e-6  # of its largest term: less, and a Riccati equation counts as solved
-NEGATIVE = 1e-9  # of the largest eigenvalue: what rounding leaves of one that is zero
-EDGE = 1e-9  # relative; a spectral radius this close to gamma^2 counts as one that reaches it
+RESIDUAL = 1e-6  # residual relative to the largest term, below which a Riccati equation counts as solved
+NEGATIVE = 1e-9  # relative to the largest eigenvalue; a zero eigenvalue may be negative by this much due to rounding
+EDGE = 1e-9  # relative; a spectral radius this close to gamma^2 counts as too large
 
 
 def central_law(plant: Plant, gamma: float) -> LinearLaw:
-    """A stabilising law of as many states as the plant whose closed loop has a norm below gamma.
+    """Returns a stabilising law with as many states as the plant, for a closed-loop norm below gamma.
 
-    Its states are what it takes the plant's to be, under the worst disturbance.
+    The law's state is an estimate of the plant's state under the worst disturbance.
 
     Args:
-        plant: n states, m inputs, r disturbances, d controlled outputs; D of rank m.
+        plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs, where D has rank m.
+        gamma: required norm.
 
     Raises:
-        InfeasibleError: no law does, or rounding hides it.
+        InfeasibleError: no law has this norm, or rounding hides it.
     """
     A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, plant.Dyw.shape, gamma**2
     turn_z, from_u = _last(plant.D)  # turn_z' D from_u = [0; I]
@@ -89,14 +90,15 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
 
 def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
-    """Returns the state feedback G, shape (m, n), of the saddle point at a level: the norm of its loop is below gamma.
+    """Returns the state feedback G of the saddle point at a level, shape (m, n). The norm of its loop is below the level.
 
     Args:
-        plant: n states, m inputs, r disturbances, d controlled outputs.
-        share: regularisation: every force costs at least this share of the size of D, or of C.
+        plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs.
+        gamma: level, above the norm of the loop.
+        share: regularisation. Every force costs at least this share of the norm of D or C, whichever is larger.
 
     Raises:
-        InfeasibleError: no state feedback has a norm below gamma, or rounding hides it.
+        InfeasibleError: no state feedback has a norm below gamma, or rounding hides its solution.
     """
     (n, m), r = plant.B.shape, plant.Dw.shape[1]
     cost = missing(plant.D, share * max(_size(plant.D), _size(plant.C)))
@@ -106,14 +108,17 @@ def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
 
 
 def _last(D: Array) -> tuple[Array, Array]:
-    """An orthogonal T and an S with T' D S = [0; I], for a D of full column rank."""
+    """Returns an orthogonal T and a matrix S with T' D S = [0; I], for a D of full column rank."""
     m = D.shape[1]
     turned, sizes, directions = np.linalg.svd(D)
     return np.hstack([turned[:, m:], turned[:, :m]]), directions.T / sizes
 
 
 def _stabilising_solution(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, Array]:
-    """X >= 0 of A'X + X A - (X B + C'D) R^-1 (..)' + C'C = 0 with A + B F stable, and F = -R^-1 (B'X + D'C)."""
+    """Returns the stabilising solution X >= 0 of a Riccati equation, and its gain F.
+
+    The equation is A'X + X A - (X B + C'D) R^-1 (..)' + C'C = 0, with F = -R^-1 (B'X + D'C) and A + B F stable.
+    """
     try:
         X = _invariant(A, B, C.T @ C, R, C.T @ D)
         F = -np.linalg.solve(R, B.T @ X + D.T @ C)
@@ -129,15 +134,15 @@ def _stabilising_solution(A: Array, B: Array, C: Array, D: Array, R: Array) -> t
 
 
 def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Returns X = X' whose graph [I; X] the stable directions of the Riccati equation's pencil span.
+    """Returns X = X' for which [I; X] spans the stable subspace of the Riccati equation's pencil.
 
-    As `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil), without its checks, which take most of the
-    time of small equations: a caller believes no solution anyway.
+    The method is that of `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). The checks are
+    omitted, because they take most of the time for small equations. The caller checks every solution.
 
     Raises:
-        LinAlgError: the stable directions are fewer or more than the states, or no graph.
+        LinAlgError: the dimension of the stable subspace is not n, or its first block is singular.
     """
-    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))  # in double, without arrays
+    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))  # in double precision, found without example arrays
     n, m = B.shape
     H, J = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n))
     H[:n, :n], H[:n, 2 * n :] = A, B
@@ -165,18 +170,19 @@ def _size(matrix: Array) -> float:
     return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 
-CANCELS = 1e-6  # of the largest Hankel singular value: a smaller one is next to nothing; half of all digits go into their roots
+# relative to the largest Hankel singular value; a smaller value is negligible, since their roots have only half of all digits
+CANCELS = 1e-6
 
 
 def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
-    """Returns a law without its fast modes and those that cancel; the law itself if it has none.
+    """Returns a law without its fast modes and without modes that cancel; the law itself if it has no such modes.
 
     Args:
-        law: law in continuous time, in units in which its numbers have a like size.
-        fast: magnitude [rad/s] from which on a mode that decays counts as fast.
+        law: law in continuous time, in units in which its entries have similar magnitudes.
+        fast: magnitude [rad/s] above which a stable mode counts as fast.
 
     Raises:
-        LinAlgError: rounding leaves no such parts.
+        LinAlgError: rounding prevents a separation of the modes.
     """
     slow, quick = split_modes(law, lambda real, imag: real >= 0 or np.hypot(real, imag) < fast)
     at_once = quick.C @ np.linalg.solve(quick.A, quick.B) if quick.states else np.zeros_like(law.D)
@@ -193,7 +199,7 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
 
 
 def split_modes(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
-    """The modes that belong to the first part, and the others, side by side: without D, which belongs to both."""
+    """Splits a law into two parallel laws, one with the selected modes and one with the other modes. Both are without D."""
     none = np.zeros_like(law.D)
     if not law.states:
         return LinearLaw(law.A, law.B, law.C, none), LinearLaw(law.A, law.B, law.C, none)
@@ -205,7 +211,7 @@ def split_modes(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
 
 
 def _truncate_law(law: LinearLaw) -> LinearLaw:
-    """Returns a stable law without modes of negligible Hankel singular values (square-root method)."""
+    """Returns a stable law without modes of negligible Hankel singular value (square-root method)."""
     if not law.states:
         return law
     reached, seen = _root(law.A, law.B), _root(law.A.T, law.C.T)
@@ -218,45 +224,48 @@ def _truncate_law(law: LinearLaw) -> LinearLaw:
 
 
 def _root(A: Array, B: Array) -> Array:
-    """L with L L' the Gramian of A and B."""
+    """Returns L, where L L' is the controllability Gramian of A and B."""
     gramian = linalg.solve_continuous_lyapunov(A, -B @ B.T)
     sizes, directions = np.linalg.eigh((gramian + gramian.T) / 2)
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
-SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))  # of noise and of cost, of what drives the states and of what z weighs
-STATES = 0.1  # of a share: by how much all states are disturbed and weighed
-AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))  # times the first share that does, further ones that are looked at
-REACHES = (0.0, 2e-3, 1e-2, 3e-2)  # relative; how far beyond what is asked for gamma is taken: what is reached is often less
+WITHIN = 1e-3  # relative distance to the lower bound at which the search ends
+# shares of added noise and cost, relative to the disturbance of the states and to their weight in z
+SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
+STATES = 0.1  # additional disturbance and weight of all states, relative to the share
+AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))  # multiples of the first sufficient share that are also tried
+# relative; by how much gamma may exceed the required value, because the actual norm is often smaller than gamma
+REACHES = (0.0, 2e-3, 1e-2, 3e-2)
 MARGINS = (
     1e-3,
     1e-2,
     1e-1,
     1.0,
-)  # relative; how far above the smallest gamma that a problem allows laws are taken: further, slower
-SAME = 1e-6  # relative; what a norm may rise by where states are left out of a law
-CLOSE = 1e-4  # relative; how closely that gamma is found
-GRAIN = 2.0**-14  # of an exponent of two
-PARTS = (1.0, 0.1)  # of the speed that is much: poles of a law beyond it are left out, and
-OWN_PART = 0.3  # of the law's own speed: its fastest poles alone
-PRICE = 1e-3  # relative; what a law of ten times the speed must take from the norm, beyond the speed that is much
-HALVINGS = 4  # of the step between two shares, to come next to a limit on speed
-ROUNDING_OF_GAIN = 1e-8  # relative; what rounding may take from a gain at one frequency
-SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
+)  # relative distances above the smallest feasible gamma; a larger distance gives a slower law
+SAME = 1e-6  # relative; the norm may rise by this much if states of a law are omitted
+CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
+GRAIN = 2.0**-14  # grid of the exponent to base two, see `_coarse`
+PARTS = (1.0, 0.1)  # multiples of `much`; poles of a law above this speed are removed
+OWN_PART = 0.3  # multiple of the law's own speed, above which only its fastest poles are removed
+PRICE = 1e-3  # relative decrease of the norm that a law of ten times the speed must reach, for speeds above `much`
+HALVINGS = 4  # bisections between two shares, to come close to a limit on the speed
+ROUNDING_OF_GAIN = 1e-8  # relative rounding error of the gain at one frequency
+SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which the plant's entries have size one
 
 
 @dataclass(frozen=True, eq=False)
 class TradeOffPoint:
-    """A controller on the way to the best norm.
+    """Controller on the trade-off between norm and speed.
 
     Attributes:
-        share: share of noise and cost in its design; zero if it was found by descent.
+        share: share of noise and cost in the design; zero if it was found by descent.
         law: law in the given units.
-        own: law in the plant's own units.
-        search: search that found it.
-        least: lower estimate of the norm: the gain at poles. It costs a tenth of a norm, and rules most points out.
-        speed_up: fastest pole of the loop, over the plant's speed without control.
+        own: law in the plant's internal units.
+        search: search that found the law.
+        least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
+            the time of a norm, and the estimate rules out most points.
+        speed_up: fastest pole of the loop, relative to the plant's speed without control.
     """
 
     share: float
@@ -268,17 +277,17 @@ class TradeOffPoint:
 
     @cached_property
     def stable(self) -> bool:
-        """True if the law is, by itself."""
+        """True if the law itself is stable."""
         return is_stable(self.own.A)
 
     @cached_property
     def norm(self) -> float:
-        """Norm of its loop in the units given, by one route."""
+        """Norm of the loop in the given units, computed by one method."""
         own = self.search.own
         return level_set_norm(own.plant.closed(self.own))[0] / own.norm
 
     def within(self, most: float) -> bool:
-        """Returns True if the norm is at most this."""
+        """Returns True if the norm is at most `most`."""
         return self.least <= most and self.norm <= most
 
     @property
@@ -288,25 +297,26 @@ class TradeOffPoint:
 
     @property
     def excess(self) -> float:
-        """Its speed over that which is much; 1 if it is slower."""
+        """Speed of the loop relative to the highest speed without a price, `much`; 1 if the loop is slower."""
         return max(1.0, self.speed_up / self.search.much)
 
     @property
     def trouble(self) -> tuple[float, float]:
-        """Sort key of laws with similar norms: excessive speed, in which an unstable law counts as ten times faster.
+        """Sort key for laws with similar norms: the excessive speed, where an unstable law counts as ten times faster.
 
-        A force may be cut off, which an unstable law does not tolerate. Among slower laws the stable ones come first.
+        An unstable law is worse because it does not tolerate saturation of a force. Among the slower laws, the stable ones come
+        first.
         """
         return self.excess * (1.0 if self.stable else 10.0), self.speed_up
 
     @property
     def cost(self) -> float:
-        """Its norm, and what its speed is to be worth."""
+        """Norm, increased by the price of the speed."""
         return self.norm * (1 + PRICE * np.log10(self.excess))
 
 
 def pareto_front(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
-    """The controllers that no other beats in norm and speed, the slowest first."""
+    """Returns the controllers to which no other is superior in both norm and speed, the slowest first."""
     front = list[TradeOffPoint]()
     for each in sorted(points, key=lambda each: each.speed_up):
         if front and not (each.least < front[-1].norm and each.norm < front[-1].norm):
@@ -318,7 +328,7 @@ def pareto_front(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
 
 
 def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
-    """The one of the smallest norm; None of none."""
+    """Returns the controller with the smallest norm; None if there is no controller."""
     best = None
     for each in sorted(points, key=lambda each: each.least):
         if best is not None and each.least >= best.norm:
@@ -328,12 +338,12 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """The one with the least trouble of those next to the smallest cost, of all that are not too fast; None of none.
+    """Returns the controller with the smallest `trouble` among slow enough ones of nearly the smallest cost, or None.
 
     Args:
         trade: controllers in any order.
-        fastest: times the plant's own speed.
-        enough: a norm; controllers that reach it come before all others.
+        fastest: limit on the speed, relative to the plant's own speed.
+        enough: sufficient norm; controllers that reach it are preferred to all others.
     """
     slow = [each for each in trade if each.speed_up <= fastest]
     if near := [each for each in slow if each.within(enough)]:
@@ -343,11 +353,11 @@ def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) 
 
 
 class RiccatiSearch:
-    """The search for one plant.
+    """Search for a full-order law for one plant.
 
     Attributes:
-        fastest: the plant's own speed [rad/s].
-        much: times that, from which on a speed is to be worth its price.
+        fastest: speed of the plant without control [rad/s].
+        much: multiple of this speed, above which a higher speed must lower the norm (`PRICE`).
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
@@ -360,7 +370,7 @@ class RiccatiSearch:
         self.much = max(FASTEST, quick / self.fastest)
 
     def near(self, fastest: float) -> TradeOffPoint | None:
-        """Returns the first controller by `trouble` within WITHIN of the bound and not too fast, or None."""
+        """Returns the controller with the least trouble within WITHIN of the lower bound that is slow enough, or None."""
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
@@ -383,7 +393,7 @@ class RiccatiSearch:
         return best
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers of all shares and of some gamma, also without their poles beyond the fastest allowed."""
+        """Returns controllers for all shares of noise and cost and several gamma, also without their too fast poles."""
         points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
@@ -392,12 +402,12 @@ class RiccatiSearch:
         return points + self.slower(points, fastest)
 
     def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
-        """Returns the controllers of a share, from its smallest gamma up."""
+        """Returns the controllers for a share of noise and cost, with gamma from its smallest value upwards."""
         tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers of shares between those of the last that is not too fast and the first that is, on a front."""
+        """Returns controllers for shares between two neighbours on a front: the last slow enough, and the first too fast."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )
@@ -412,7 +422,7 @@ class RiccatiSearch:
         return points
 
     def slower(self, points: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers beyond what is much or allowed without the fast poles of their laws, if their loops stay stable."""
+        """Returns the controllers that are too fast without the fast poles of their laws, if their loops stay stable."""
         left, much = list[TradeOffPoint](), min(fastest, self.much)
         for each in points:
             for limit in [*(part * much for part in PARTS), OWN_PART * each.speed_up] if each.speed_up > much else []:
@@ -423,7 +433,10 @@ class RiccatiSearch:
         return left
 
     def smallest(self, share: float, above: float) -> float:
-        """The smallest gamma that the problem of a share allows; what one of a larger share allows, this one does, too."""
+        """Returns the smallest gamma for which the regularised problem has a law, for a given share of noise and cost.
+
+        This gamma is at most `above`, the smallest gamma for a larger share.
+        """
         low = max(_coarse(self.bound), SMALLEST)
         high, guess = above, 2 * low
         while high > low * (1 + CLOSE):
@@ -436,16 +449,16 @@ class RiccatiSearch:
         return high
 
     def traded(self, share: float, gamma: float) -> TradeOffPoint | None:
-        """Returns the controller of a share for some gamma, with its norm; None if it does not exist or is not stable."""
-        with contextlib.suppress(InputError):  # infeasible, or an entry is too large for a law
+        """Returns the controller for a share of noise and cost and a gamma; None if there is no stable loop."""
+        with contextlib.suppress(InputError):  # the problem is infeasible, or an entry of the law is too large
             return self.judged(share, self.law(share, gamma))
         return None
 
     def judged(self, share: float, law: LinearLaw) -> TradeOffPoint | None:
-        """Returns a law in own units with the norm of its loop, or None if the loop is not stable.
+        """Returns the trade-off point of a law in internal units; None if its loop is not stable.
 
         Raises:
-            InputError: an entry is too large for a law in the units given.
+            InputError: an entry is too large for a law in the given units.
         """
         own, back = self.own, self.own.back(law)
         system = closed_by(own.plant, law)
@@ -457,7 +470,7 @@ class RiccatiSearch:
         return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
-        """A controller without states that do next to nothing, if its norm stays as it is and it is no more trouble."""
+        """Returns the controller without negligible states, if its norm stays the same and its trouble does not rise."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
@@ -466,7 +479,7 @@ class RiccatiSearch:
         return best
 
     def law(self, share: float, gamma: float) -> LinearLaw:
-        """The central law of the regularised problem, in own units.
+        """Returns the central law of the regularised problem, in internal units.
 
         Raises:
             InfeasibleError: the problem has no law for this gamma.
@@ -490,5 +503,8 @@ class RiccatiSearch:
 
 
 def _coarse(gamma: float) -> float:
-    """A number a little smaller, the same for all within GRAIN of each other: bounds differ by rounding from unit to unit."""
+    """Returns a slightly smaller number, the same for all numbers within GRAIN.
+
+    Bounds differ by rounding if the units differ.
+    """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

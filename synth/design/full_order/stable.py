@@ -1,9 +1,10 @@
-"""Full-order laws that are stable by themselves, so that nothing winds up where forces are clipped.
+"""Full-order laws that are stable themselves, so that they do not wind up when forces saturate.
 
-Central laws of larger gamma are slower, and some of them are stable. From the best of these a descent goes on: one gain
-[D, C; B, A] for two plants. One is the plant with the law's states. The other has these states alone, x_c' = v, lightly weighed.
-Its loop is x_c' = A x_c, whose norm is finite as long as the law is stable. A law that takes forces out of what it reads runs
-with another A than it is designed with: it is judged as it runs.
+Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. This
+descent searches for one gain [D, C; B, A] for two plants. The first is the plant with the law's states. The second consists of
+these states alone, x_c' = v, with a small weight. The loop of the second plant is x_c' = A x_c. The norm of this loop is finite
+as long as the law is stable. The matrix A of a law that subtracts forces from its measurements changes before the law runs. The
+stability of such a law is checked in the form in which the law runs.
 """
 
 import contextlib
@@ -20,22 +21,23 @@ from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import Plant, gain_law, law_gain
 
-GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)  # times the bound; a smaller one is a law nearer to it, and faster
-STARTS = 2  # from which a descent goes on
-LIGHTLY = 1e-3  # of the norm, in own units: how much a law's own states weigh
-LARGER = 10.0  # times a start's largest entry: so large may entries become
+# gamma relative to the lower bound; a smaller gamma gives a faster law closer to the bound
+GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)
+STARTS = 2  # number of laws from which a descent starts
+LIGHTLY = 1e-3  # weight of a law's own states, relative to the norm in internal units
+LARGER = 10.0  # largest allowed entry, relative to the largest entry of the start
 
 
 def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
-    """Returns laws that fit and have stable loops.
+    """Returns laws that are stable themselves and have stable loops.
 
     Args:
-        search: search on the plant, whose own units are used.
-        fits: returns True for a law that is stable by itself, with a loop that is not too fast.
-        most: largest number of entries of a law for which a descent continues from the best.
+        search: search on the plant; its internal units are used.
+        fits: function that returns True for a law that is itself stable, with a loop that is slow enough.
+        most: largest number of entries of a law for which a descent continues from the best laws.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
-    # From a fast law no way leads down to a slow one.
+    # A descent does not lead from a fast law to a slow one.
     laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: (each.excess > 1, each.norm))
     for start in laws[:STARTS]:
         if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.plant.Cy)) <= most:
@@ -46,10 +48,10 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
 
 
 def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
-    """Returns the law at the end of the descent from a stable one, in own units; it may be unstable by rounding.
+    """Returns the law at the end of the descent from a stable law, in internal units. Rounding may make it unstable.
 
     Raises:
-        DesignError: there is no way down.
+        DesignError: the descent fails.
     """
     own, k = search.own, start.own.states
     gain = descend_stable(own.plant.with_states(k), law_gain(start.own), k, LIGHTLY * start.norm * own.norm)
@@ -57,17 +59,17 @@ def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
 
 
 def descend_stable(plant: Plant, start: Array, states: int, light: float, structure: Array | None = None) -> Array:
-    """Returns the gain [D, C; B, A] at the end of the descent from that of a stable law; it may be unstable by rounding.
+    """Returns the gain [D, C; B, A] at the end of the descent from a stable law. Rounding may make its law unstable.
 
     Args:
         plant: plant with the law's states, and the measurements of the gain.
-        start: gain of the start, whose loop is stable, too.
+        start: gain of the stable law from which the descent starts; its loop is stable, too.
         states: number k of the law's states.
         light: weight of the law's own states.
-        structure: True for the entries that may be other than zero; None for all.
+        structure: True for the entries that may be nonzero; None for all.
 
     Raises:
-        DesignError: there is no way down.
+        DesignError: the descent fails.
     """
     k, (rows, columns) = states, start.shape
     m, q = rows - k, columns - k

@@ -1,1 +1,1 @@
-"""Multi-objective design: one norm minimised within bounds on others, for one plant or several, with errors."""
+"""Multi-objective design: minimises one norm with bounds on others, for one or several plants, with gain errors."""

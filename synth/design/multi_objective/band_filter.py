@@ -1,8 +1,8 @@
-"""Filter before w whose gain is at least one in a band and falls outside: a band as a weight.
+"""Filter of w with a gain of at least one in a frequency band and a small gain outside, which represents the band as a weight.
 
-A bound on the norm with this filter is also a bound on the norm in the band. Some bounds are only known for norms over all
-frequencies, such as that over a box of errors; this filter proves them for a band. The bound is looser at the edges, where the
-filter needs some room to fall.
+A bound on the norm with this filter is also a bound on the norm in the band. Some bounds, such as the norm over a box of gain
+errors, are only known over all frequencies. The filter proves these bounds for a band. The bound is looser at the edges of the
+band, because the gain of the filter falls gradually there.
 """
 
 from functools import reduce
@@ -16,13 +16,16 @@ from synth.plant.augmented import append, gain, series, transfer_function, with_
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ORDER = 4  # even: for a wide band an odd order has poles that no second-order section can represent
-RIPPLE = 0.02  # dB above one, in the band
-BESIDE = 30.0  # dB below, beside it
+ORDER = 4  # an even order, because an odd order has poles in a wide band that no second-order section can represent
+RIPPLE = 0.02  # largest gain in the band [dB]
+BESIDE = 30.0  # attenuation outside the band [dB]
 
 
 def in_band(plant: Plant, band: Band) -> Plant:
-    """Returns a plant whose norm is at least the norm in the band [rad/s]; for a band of all frequencies, the plant itself."""
+    """Returns a plant whose norm is at least the norm of the given plant in a band [rad/s].
+
+    For the band of all frequencies, the plant is returned unchanged.
+    """
     if band == EVERYWHERE:
         return plant
     before = append(*[band_filter(band)] * plant.Bw.shape[1])
@@ -30,12 +33,15 @@ def in_band(plant: Plant, band: Band) -> Plant:
 
 
 def band_filter(band: Band) -> StateSpace:
-    """Returns an elliptic filter with a gain from one to `RIPPLE` above in the band [rad/s], and below `BESIDE` outside."""
+    """Returns an elliptic filter with a gain of at least one in the band [rad/s].
+
+    The gain is at most `RIPPLE` above one in the band, and at least `BESIDE` below one outside.
+    """
     from scipy import signal  # half a second
 
     low, high = band
     kind, edges = ("lowpass", high) if low == 0 else ("highpass", low) if np.isinf(high) else ("bandpass", [low, high])
     zpk = signal.ellip(ORDER, RIPPLE, BESIDE, edges, kind, analog=True, output="zpk")
-    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the form that `output` asks for
+    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the format that `output` selects
     sections = signal.zpk2sos(z, p, k * 10 ** (RIPPLE / 20), analog=True)
     return reduce(series, (transfer_function(section[:3], section[3:]) for section in sections))

@@ -1,7 +1,7 @@
-"""The landscape of the norm in a band of frequencies, of a loop whose sensors and actuators may be off.
+"""Norm in a frequency band as a function of the gain, for loops with errors of sensors and actuators.
 
-It is like `synth.design.descent.landscape`, but only gains within the band count, its ends included. The loop must still be
-stable, which a norm in a band does not imply.
+This landscape is like `synth.design.descent.landscape`, but only frequencies within the band, including its ends, count. The
+loop must be stable nevertheless, which a finite norm in a band does not imply.
 """
 
 from functools import partial
@@ -20,18 +20,18 @@ Band = tuple[float, float]
 
 
 class BandLandscape(Landscape):
-    """The landscape of one plant in one band.
+    """Norm of the loops of one plant in one band as a function of the gain.
 
     Attributes:
-        band: lower and upper frequency [rad/s]; for a discrete plant, of its continuous image.
-        own: number of its states without those of filters.
+        band: lower and upper frequency [rad/s]; for a discrete plant, the frequencies of its continuous image.
+        own: number of states of the plant without its filters.
     """
 
     def __init__(self, plant: Plant, band: Band, like: Landscape | None = None) -> None:
         """Args:
-        plant: n states, m inputs, r disturbances and q measurements.
+        plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         band: lower and upper frequency [rad/s].
-        like: landscape whose points are the same gains; None for its own scales.
+        like: landscape whose points represent the same gains; None to use the plant's own scales.
         """
         super().__init__(plant)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
@@ -41,11 +41,11 @@ class BandLandscape(Landscape):
 
     @property
     def narrow(self) -> bool:
-        """True if the band is not the whole axis."""
+        """True if the band does not contain all frequencies."""
         return self.band != EVERYWHERE
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
-        """Returns the largest gain in the band and its frequency [rad/s]; infinite if the loop is unstable."""
+        """Returns the largest gain in the band and its frequency [rad/s]; the gain is infinite if the loop is unstable."""
         if not self.narrow:
             return super().norm(x, above)
         modes, (low, high) = self.modes(x), self.band
@@ -69,7 +69,7 @@ class BandLandscape(Landscape):
         return best, at
 
     def summits(self, x: Array, level: float) -> Array:
-        """Returns the frequencies [rad/s] of local maxima of the gain in the band above a level, shape (P,), ascending.
+        """Returns the frequencies [rad/s] of the local maxima of the gain in the band that exceed a level, shape (P,), ascending.
 
         An end of the band counts as a maximum if the gain falls from there into the band.
         """
@@ -90,12 +90,12 @@ class BandLandscape(Landscape):
         return np.unique(np.concatenate([ends, np.clip(inside, *self.band)]))
 
     def moving(self, omega: Array) -> Array:
-        """Returns True for frequencies at which a peak moves with the gain: not at the ends of the band."""
+        """Returns True for frequencies at which a peak moves with the gain. Peaks at the ends of the band do not move."""
         low, high = self.band
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def slowest(self, x: Array) -> float:
-        """Returns the largest real part of a pole that a gain moves [rad/s]; infinite if the loop is not finite."""
+        """Returns the largest real part of the poles that the gain can move [rad/s]; infinite if the loop is not finite."""
         if self.own == len(self.plant.A):
             poles = self.modes(x).poles
         else:
@@ -105,9 +105,10 @@ class BandLandscape(Landscape):
         return largest if np.isfinite(largest) else np.inf
 
     def decays(self, x: Array) -> tuple[Array, Array]:
-        """Returns the real parts of the poles that a gain moves [rad/s], one per pair, shape (P,), and slopes, shape (P, m q).
+        """Returns the real parts [rad/s] of the poles that the gain can move, shape (P,), and their slopes, shape (P, m q).
 
-        Poles of filters are left out, as no gain moves them. The states of filters are the last ones.
+        A pair of conjugate poles counts once. Poles of filters are omitted, because no gain moves them. The filter states are
+        the last states.
         """
         loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
         if known is not None and known.vectors is not None:
@@ -119,13 +120,13 @@ class BandLandscape(Landscape):
             mask = np.imag(poles) >= 0
             left, right = left[:, mask].conj().T, right[:, mask].T
         along = np.sum(left * right, axis=1)
-        along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
+        along = np.where(along == 0, np.finfo(float).tiny, along)  # the slope is infinite if poles meet
         driven, seen = left @ loop.B[own], right @ loop.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
         return np.real(poles[mask]), slopes.reshape(len(slopes), -1)
 
     def _inside(self, omega: Array) -> Array:
-        """Returns the frequencies within the band and its finite ends, ascending."""
+        """Returns the frequencies within the band, with its finite ends, ascending."""
         low, high = self.band
         omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
         return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))

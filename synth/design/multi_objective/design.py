@@ -1,4 +1,4 @@
-"""Entry of multi-objective design: from a problem of goals to a gain, or to the reason why no gain meets them."""
+"""Multi-objective design: finds a gain for a problem of goals and bounds, or reports why no gain fulfils them."""
 
 import contextlib
 from collections.abc import Callable, Iterable
@@ -24,13 +24,14 @@ from synth.plant.numerics import DesignError, numerics, up_to_rounding
 
 @dataclass(frozen=True, eq=False)
 class MultiObjectiveDesign:
-    """The result of a multi-objective design.
+    """Result of a multi-objective design.
 
     Attributes:
-        gain: K, shape (m, q).
-        goal: the largest norm, or ratio to an individual optimum, that was found.
-        rejected_improvement: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
-        errors: the active errors, beside no errors.
+        gain: gain matrix K, shape (m, q).
+        goal: largest norm over all members and errors found, or largest ratio to an individual optimum.
+        rejected_improvement: relative decrease of the goal that up to twice the gain would reach, but that was rejected; None
+            if there was none.
+        errors: gain errors that were active in the search, in addition to zero errors.
         problem: the solved problem.
     """
 
@@ -42,10 +43,9 @@ class MultiObjectiveDesign:
 
     @cached_property
     def unproved(self) -> tuple[int, ...]:
-        """Indices of the members whose stability with all errors of the tolerance is not proved; computed when first used.
+        """Indices of the members whose stability for all errors of the tolerance is not proved. Computed at first use.
 
-        Without errors the poles of a loop prove its stability, of any plant.
-        No error that was found makes a loop unstable.
+        Without errors, the poles of a loop prove its stability. No error that was found makes a loop unstable.
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
@@ -68,18 +68,21 @@ def multi_objective_design(
     on_progress: Progress = quiet,
     otherwise: Callable[[], Iterable[Array]] = tuple,
 ) -> MultiObjectiveDesign:
-    """Searches the best gain of a multi-objective problem.
+    """Searches for the best gain of a multi-objective problem.
 
     Args:
         problem: goals, bounds and plants.
-        starts: gains to start from, shape (m, q) each, in addition to the search's own.
-        on_progress: callback that receives the goal, and True if all bounds are kept, at every new point.
-        otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
+        starts: gains to start from, shape (m, q) each, in addition to those that the search generates.
+        on_progress: function that receives the goal, and True if all bounds are fulfilled, at every new point.
+        otherwise: function that returns further starts, called only if no other start leads to stable loops.
+
+    Returns:
+        The gain, the goal that it reaches, and the errors that were active in the search.
 
     Raises:
         InputError: a decay is required for a discrete plant.
-        DesignError: no gain makes all loops stable, or keeps all bounds; the message names the violated bounds.
-        Interrupted: Ctrl-C was pressed after a feasible design.
+        DesignError: no gain makes all loops stable, or no gain fulfils all bounds; the message lists the violated bounds.
+        Interrupted: the user pressed Ctrl-C after a feasible design was found.
 
     Example:
         >>> import numpy as np
@@ -109,25 +112,27 @@ def multi_objective_design(
 
 @numerics()
 def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Progress = quiet) -> float:
-    """Returns the goal of a better gain for a problem that a design's gain is within the bounds of, or the design's own.
+    """Returns the goal of a better gain for a problem whose bounds the gain of a design fulfils.
 
-    The gain is found by descent from the design's, whose rounds are counted: it need not be the best.
+    If there is no better gain, the goal of the design is returned.
+
+    The better gain comes from a descent with a fixed number of rounds, so it need not be the best gain.
 
     Args:
-        problem: the design's own, but for the structure.
-        design: design to start from.
-        on_progress: callback that receives the goal, and True if all bounds are kept, at every new point.
+        problem: problem of the design, possibly with another structure.
+        design: design from whose gain the descent starts.
+        on_progress: function that receives the goal, and True if all bounds are fulfilled, at every new point.
     """
     found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
     return design.goal if found is None else min(design.goal, found[1].goal)
 
 
 def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) -> MultiObjectiveDesign:
-    """Runs the search, started from the two steps of the first, middle and last member, and from its own starts."""
+    """Runs the search from the paper's two steps for the first, middle and last member, and from the starts that it generates."""
     count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
         plant_problem = problem.members[i].plants[0]
-        of_state = np.any(plant_problem.Cy != 0, axis=1)  # of forces alone nothing is designed
+        of_state = np.any(plant_problem.Cy != 0, axis=1)  # the two steps use only measurements that contain a state
         with contextlib.suppress(InputError):
             gains.append(
                 plant_problem.on_readings(
@@ -138,10 +143,10 @@ def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) ->
 
 
 def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProblem:
-    """Returns the same problem for the largest ratio to each member's individual optimum, within the same bounds.
+    """Returns the problem whose goal is the largest ratio of a member's norm to its individual optimum, with the same bounds.
 
     Raises:
-        DesignError: a member has no gain within the bounds.
+        DesignError: a member alone has no gain within the bounds.
     """
     bests = []
     for i in range(len(problem.members)):
@@ -153,7 +158,7 @@ def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProb
 
 
 def for_goals(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a gain for goals, by descent from the two steps and from other starts."""
+    """Designs a static gain for goals, by descent from the two steps and from other starts."""
     assert problem.goals is not None, "goals"
     found = run_search(problem.goals, progress)
     law, share = static_law(found.gain), found.rejected_improvement

@@ -1,4 +1,4 @@
-"""Terms of goals other than norms: the decay of a loop, and the peak of a signal for a given energy of the disturbance."""
+"""Objectives other than norms: the decay rate of a loop, and the peak of a signal for a given energy of the disturbance."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,11 +10,14 @@ from models.common.arrays import Array
 from synth.design.descent.terms import Linearisation, Term
 from synth.design.multi_objective.band_norm import BandLandscape
 
-NEAR = 0.3  # share of the rate: poles this close to the slowest one also count
+NEAR = 0.3  # relative to the required decay rate; poles this close to the slowest pole also count
 
 
 class Decay(Term):
-    """The largest real part of a pole as 2 + re(pole) / rate: 1, the bound of every term, is a real part of -rate."""
+    """The largest real part of a pole as the value 2 + re(pole) / rate.
+
+    The bound 1 of every term then means a real part of -rate.
+    """
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
         self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
@@ -28,7 +31,7 @@ class Decay(Term):
         return self._made(x, value - max(depth, NEAR), touching=True)
 
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the real parts of the poles at the other point."""
+        """Returns the real parts of the poles at another point."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
     def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
@@ -40,13 +43,13 @@ class Decay(Term):
 
 @dataclass(frozen=True, eq=False)
 class BoundedSignal:
-    """A signal c x + g u of a plant without feedthrough from w.
+    """Signal c x + g u of a plant without feedthrough from w.
 
     Attributes:
-        c: shape (n,).
-        g: shape (m,).
-        at_most: largest magnitude that is allowed for the given energy.
-        root: square root of that energy, the integral of |w|^2.
+        c: row vector of the states, shape (n,).
+        g: row vector of the inputs, shape (m,).
+        at_most: largest allowed magnitude for the given energy.
+        root: square root of the energy, which is the integral of |w|^2.
         name: description of the bound.
     """
 
@@ -60,22 +63,22 @@ class BoundedSignal:
 
 
 class EnergyPeak(Term):
-    """Energy-to-peak norm `root` (c P c')^1/2 with A P + P A' + Bw Bw' = 0, relative to its bound."""
+    """Energy-to-peak norm, relative to its bound: sqrt(E) (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
         self.c = signal.c * landscape.balancing  # in the coordinates of the landscape
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value; infinite if the loop is unstable."""
+        """Returns the relative norm; infinite if the loop is unstable."""
         return self._solved(x)[0]
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the function itself, which is smooth."""
+        """Returns the function itself, because it is smooth."""
         return self._made(x, touching=True)
 
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the function itself at the other point."""
+        """Returns the function itself at another point."""
         return self._made(x, touching=False)
 
     def _made(self, x: Array, touching: bool) -> Linearisation:
@@ -83,7 +86,7 @@ class EnergyPeak(Term):
         return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
-        """Returns value and slope, shape (m q,)."""
+        """Returns the value and its slope, shape (m q,)."""
         land = self.landscape
         loop = land.loop(x)
         A, Bw = loop.A, loop.Bw
@@ -96,7 +99,7 @@ class EnergyPeak(Term):
         square = float(c @ P @ c)
         if not square > 0:
             return 0.0, np.zeros(len(x))
-        # Half the slope of c P c': by the dynamics, by the signal, and by measurement noise.
+        # Half the slope of c P c', with contributions of the dynamics, the signal, and the measurement noise.
         moved = loop.B.T @ Q
         half = moved @ P @ loop.Cy.T + np.outer(self.signal.g @ land.after(x), loop.Cy @ P @ c) + moved @ Bw @ loop.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit

@@ -1,6 +1,6 @@
-"""Goals, in the words of a vehicle file, as a problem on plants: of a vehicle's, or of plants whose signals have no names.
+"""Conversion of goals, as in a vehicle file, to a problem for plants. The signals of these plants need not have names.
 
-The signals of a plant by itself are y1, y2, ..., its forces u1, u2, ..., and the rows of its z are z1, z2, ...
+The signals of a plant without names are y1, y2, ..., its forces are u1, u2, ..., and the rows of z are z1, z2, ...
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,21 +16,21 @@ from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import Plant
 
-MATRICES = "A", "B", "Bw", "C", "Cy"  # whose shapes are those of all plants of a family
+MATRICES = "A", "B", "Bw", "C", "Cy"  # matrices whose shapes must agree for all plants of a family
 
 
 def norms_of(goals: Goals) -> list[NormOf]:
-    """Returns the norm that is minimised, and those that are bounded."""
+    """Returns the norm that is minimised, followed by the norms that are bounded."""
     return [goals.minimise, *(bound for bound in goals.bounds if isinstance(bound, NormBound))]
 
 
 def posed_goals(
     goals: Goals, members: Sequence[FamilyMember], measured: Sequence[str], forces: Sequence[str]
 ) -> MultiObjectiveProblem:
-    """Returns the problem of goals, without the individual optima of its members.
+    """Returns the problem of given goals, without the individual optima of its members.
 
     Args:
-        members: vehicles of the family, each with a plant for every entry of `norms_of`, and with the data of its other bounds.
+        members: plants of the family. Each has a plant for every entry of `norms_of`, and the data for its other bounds.
         measured: names of the q measured signals.
         forces: names of the m inputs.
     """
@@ -66,7 +66,7 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     Args:
         where: prefix of messages.
         section: `minimise`, `bounds`, `tolerance` and `structure` as in a vehicle file.
-        plants: the first is the nominal one.
+        plants: the nominal plant, followed by the other plants.
 
     Raises:
         InputError: a key or a number is not allowed, or the plants do not fit one another.
@@ -88,9 +88,9 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     names = {"signals": dict.fromkeys(outputs, "1"), "corners": dict.fromkeys(forces, ""), "parameters": {}}
     goals = read(where, Goals, {**section, **family}, measured=measured, **names)
     if goals.tolerance != goals.goals.tolerance:
-        raise InputError(f"{where} tolerance with a weight needs a vehicle; give the largest relative error, as 0.1 for 10 %")
+        raise InputError(f"{where} a tolerance with a weight is for vehicles only; give a largest relative error (0.1 is 10 %)")
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
-        raise InputError(f"{where} bounds: a peak over a road needs a vehicle; bound an energy_peak or a norm")
+        raise InputError(f"{where} bounds: a peak over a road is for vehicles only; bound an energy_peak or a norm")
     norms = norms_of(goals)
     energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = [
@@ -108,7 +108,7 @@ def _names(letter: str, count: int) -> list[str]:
 
 
 def _with_outputs_of_norm(plant: Plant, norm: NormOf, outputs: Sequence[str]) -> Plant:
-    """The plant whose z is that of a norm."""
+    """Returns the plant whose output z contains the signals and weights of a norm goal."""
     if norm.signals is None:
         return plant
     rows, weights = [outputs.index(name) for name in norm.signals], np.array([*norm.signals.values()])[:, None]
@@ -116,11 +116,11 @@ def _with_outputs_of_norm(plant: Plant, norm: NormOf, outputs: Sequence[str]) ->
 
 
 def _signal(where: str, plant: Plant, row: int, bound: EnergyBound) -> BoundedSignal:
-    """The row of z that is bounded for disturbances of given energy."""
+    """Returns the row of z that is bounded for disturbances of a given energy."""
     if np.any(plant.Dw[row]) or np.any(plant.Dyw) or plant.dt is not None:
         raise InputError(
-            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, as w, noise or samples act on it directly; bound a "
-            "norm"
+            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts on it directly; "
+            "bound a norm"
         )
     name = f"{bound.energy_peak} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

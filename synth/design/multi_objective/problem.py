@@ -1,4 +1,4 @@
-"""Problems of goals for plants: errors, norms, bounds and a structure; and the terms of a problem for some errors."""
+"""Problem of multi-objective design: norms, bounds, gain errors and a structure; also its terms for given errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,13 +32,13 @@ from synth.plant.generalized import Plant
 
 @dataclass(frozen=True, eq=False)
 class NormSpecification(CheckedFields):
-    """Norm in a band, minimised or bounded.
+    """Norm in a frequency band that is minimised or bounded.
 
     Attributes:
-        which: index of the plant among a member's `plants`.
+        which: index of the plant in `plants` of a member.
         band: lower and upper frequency [rad/s].
-        at_most: the bound; infinite for what is minimised.
-        name: description.
+        at_most: bound on the norm; infinite for the norm that is minimised.
+        name: description for messages.
 
     Raises:
         InputError: the band is empty, or a field is not allowed.
@@ -55,13 +55,16 @@ class NormSpecification(CheckedFields):
 
 
 def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: Matrix | None = None) -> Plant:
-    """Returns a plant with measurements y = Cy x + Dyw w + `through` u.
+    """Returns a plant with the measurements y = Cy x + Dyw w + `through` u.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); None without noise.
-        through: feedthrough from forces to measurements, shape (q, m); None without it.
+        plant: generalised plant with n states and m inputs.
+        Cy: measurement matrix, shape (q, n).
+        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
+
+    Returns:
+        A copy of the plant with these measurements.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -78,12 +81,12 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
 @accept_former_names(posed="plants")
 @dataclass(frozen=True, eq=False)
 class FamilyMember(CheckedFields):
-    """A plant of a family, with its signals.
+    """Member of a family of plants, with the signals that are bounded.
 
     Attributes:
-        plants: the plant with its measurements and the z of each norm.
-        driven_by: the plant on roads, each with its bounded signal.
-        signals: signals of the first of `plants` with a bound for roads of given energy.
+        plants: the plant with its measurements, once for each norm with the z of this norm.
+        driven_by: one entry per bounded peak: the plant, its road, and the bounded signal.
+        signals: signals of the first of `plants` that are bounded for disturbances of a given energy.
     """
 
     plants: Annotated[tuple[Plant, ...], AT_LEAST_ONE]
@@ -93,11 +96,11 @@ class FamilyMember(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class GainErrors(CheckedFields):
-    """Relative errors of sensors and actuators: y is read as (1 + sensors) y, and (1 + forces) u acts.
+    """Relative gain errors: the controller receives (1 + sensors) y, and the forces (1 + forces) u act on the plant.
 
     Attributes:
-        sensors: shape (q,).
-        forces: shape (m,).
+        sensors: relative error of each measurement, shape (q,).
+        forces: relative error of each force, shape (m,).
     """
 
     sensors: Vector
@@ -109,7 +112,7 @@ class GainErrors(CheckedFields):
         return self.sensors.tobytes() + self.forces.tobytes()
 
     def on(self, plant: Plant) -> Plant:
-        """Returns a plant with these errors."""
+        """Returns the plant with these errors."""
         u, y = 1 + self.forces, 1 + self.sensors[:, None]
         if np.all(u == 1) and np.all(y == 1):
             return plant
@@ -119,16 +122,16 @@ class GainErrors(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class MultiObjectiveProblem(CheckedFields):
-    """The problem of minimising over K the largest norm over members and errors, within bounds.
+    """Problem to minimise, over K, the largest norm of all members and gain errors, with bounds on other quantities.
 
     Attributes:
-        members: members of the family; one without a family.
-        minimise: the minimised norm.
+        members: members of the family; a single member for one plant.
+        minimise: norm that is minimised.
         norms: bounds on norms.
-        decay: all poles lie left of minus this [rad/s]; None for the open left half plane.
-        peaks: the largest magnitude of each member's driven signals.
-        gain: the largest entry of K; None if unbounded.
-        tolerance: the largest errors.
+        decay: required decay rate [rad/s], so that all poles have a real part below -decay; None requires only stability.
+        peaks: bound on the magnitude of each signal in `driven_by`.
+        gain: bound on |K_ij|; None if it is unbounded.
+        tolerance: largest gain errors.
         structure: mask of the entries of K that may be nonzero, shape (m, q).
         bests: individual optima of the members, to minimise the largest ratio to them; None to minimise the largest norm.
 
@@ -162,27 +165,27 @@ class MultiObjectiveProblem(CheckedFields):
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:
                 raise InputError(
-                    f"norm {goal.name!r} has which = {goal.which}, but a member has {fewest} plants posed; give a smaller index"
+                    f"norm {goal.name!r} has which = {goal.which}, but a member has only {fewest} plants; give a smaller index"
                 )
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Shape of K."""
+        """Shape (m, q) of K."""
         return self.structure.shape
 
     @property
     def has_errors(self) -> bool:
-        """True if the tolerance is not zero."""
+        """True if the largest gain errors are not all zero."""
         return bool(np.any(self.tolerance.sensors) or np.any(self.tolerance.forces))
 
     @property
     def no_errors(self) -> GainErrors:
-        """No error at all."""
+        """Gain errors of zero."""
         m, q = self.shape
         return GainErrors(np.zeros(q), np.zeros(m))
 
     def corners(self, most: int) -> list[GainErrors]:
-        """Returns the vertices of the box of errors; empty if there are too many."""
+        """Returns the vertices of the box of gain errors; an empty list if there are more than `most`."""
         m, q = self.shape
         sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
         free = np.flatnonzero(sides)
@@ -196,31 +199,32 @@ class MultiObjectiveProblem(CheckedFields):
         return vertices
 
     def alone(self, i: int) -> "MultiObjectiveProblem":
-        """Returns the same problem for one member alone."""
+        """Returns the same problem for a single member."""
         return replace(self, members=(self.members[i],), bests=None)
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:
-        """Returns the landscape of a member's plant with errors."""
+        """Returns the landscape of a member's plant with given errors."""
         return BandLandscape(errors.on(self.members[i].plants[which]), band, like)
 
     def nominal(self) -> BandLandscape:
-        """Returns the landscape of the first member without errors, which defines the points of all."""
+        """Returns the landscape of the first member without errors. This landscape defines the points of all landscapes."""
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 
-TIGHTER = 1e-7  # relative: margin by which bounds are kept, for rounding
-AND_FOR_ERRORS = 0.02  # relative margin of a decay with errors: at the bound itself nothing can be proved for a whole box
+TIGHTER = 1e-7  # relative margin of the bounds, for rounding
+# relative margin of the decay rate with errors, because at the bound itself nothing can be proved for a whole box
+AND_FOR_ERRORS = 0.02
 
 
 def objectives_of(
     problem: MultiObjectiveProblem, full: BandLandscape, errors: Sequence[GainErrors], rate: float
 ) -> tuple[list[Term], list[Term]]:
-    """Returns the goals and the bounds of a problem for some errors.
+    """Returns the goals and the bounds of a problem for given gain errors.
 
     Args:
-        full: the landscape that defines the points of all terms.
-        errors: errors of the gain, each of which applies to norms and decay; peaks are without errors.
-        rate: the required decay [rad/s]; 0 for none.
+        full: landscape that defines the points of all terms.
+        errors: gain errors. Each applies to norms and to the decay rate; peaks are computed without errors.
+        rate: required decay rate [rad/s]; 0 if there is no requirement.
     """
     goals: list[Term] = []
     bounds: list[Term] = []
@@ -234,7 +238,7 @@ def objectives_of(
                 landscape = problem.landscape(i, norm.which, norm.band, each, full)
                 bounds.append(NormTerm(landscape, norm.at_most * (1 - TIGHTER), norm.name))
             if rate:
-                bounds.append(decay(problem, minimised, rate))  # of the same loop, whose poles are known then
+                bounds.append(decay(problem, minimised, rate))  # uses the same loop, whose poles are already known
         for signal in member.signals:
             landscape = problem.landscape(i, which, band, problem.no_errors, full)
             bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))
@@ -244,5 +248,5 @@ def objectives_of(
 
 
 def decay(problem: MultiObjectiveProblem, landscape: Any, rate: float) -> Decay:
-    """Returns the bound on the slowest pole of the loop of a `BandLandscape`."""
+    """Returns the bound on the slowest pole, for the loop of a `BandLandscape`."""
     return Decay(landscape, rate * (1 + (AND_FOR_ERRORS if problem.has_errors else TIGHTER)))

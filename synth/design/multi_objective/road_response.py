@@ -1,9 +1,10 @@
-"""The exact response of a loop to a road, and the largest value of a signal over it.
+"""Exact response of a closed loop to a road, and the largest value of a signal over this road.
 
-With the road's heights z under the wheels, and w = z', the substitution x = xi + Bw z turns x' = A x + Bw w + Br z into
-xi' = A xi + (A Bw + Br) z. The road's velocity, which jumps at a kink and is infinite at a vertical edge, no longer occurs.
-Between equidistant times the convolution is a quadrature of order 16. A step with a kink is split into pieces that get smaller
-towards the kink, from either side. A peak between two times is that of the cubic through both ends and their slopes.
+The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
+Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, no longer
+occurs. Between equidistant times, the convolution is computed by a quadrature of order 16. A step with a kink is split into
+intervals that become shorter towards the kink, from both sides. Between two times, the signal is approximated by the cubic
+through both values and slopes.
 """
 
 from collections.abc import Callable
@@ -16,25 +17,25 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
-NODES = 8  # of the quadrature in one step
-SMALLER = 24  # halvings of a step towards a kink
-NEXT = 1e-6  # of a step: a kink this close to its end is at it
-FINE = 0.01  # rad of the fastest pole with control
-MOST_FINE = 60_000  # steps on the road and shortly after it
-BLOCK, BLOCKS = 4096, 100  # steps of the free motion after that, and how many blocks of them at most
-BEND = 2.0  # times the curvature seen between times, for what it is between them
-ILL_CONDITIONED = 1e7  # of the eigenvectors, beyond which the recursion runs step by step
+NODES = 8  # nodes of the quadrature per step
+SMALLER = 24  # number of times that a step is halved towards a kink
+NEXT = 1e-6  # share of a step; a kink this close to the end of a step counts as being at the end
+FINE = 0.01  # time step as the phase of the fastest pole with control [rad]
+MOST_FINE = 60_000  # largest number of steps on the road and shortly after it
+BLOCK, BLOCKS = 4096, 100  # steps per block of the free motion after that, and largest number of blocks
+BEND = 2.0  # factor for the curvature between two times, relative to the curvature computed from the slopes at these times
+ILL_CONDITIONED = 1e7  # condition number of the eigenvectors above which the recursion runs step by step
 
 
 @dataclass(frozen=True, eq=False)
 class RoadExcitation:
-    """A road under the wheels of a vehicle, from time 0 to its end.
+    """Road under the wheels of a vehicle, from time 0 to the end of the road.
 
     Attributes:
-        heights: times [s] of shape (T,) -> heights [m], shape (T, r).
-        rates: times [s] -> derivatives of the heights [m/s], shape (T, r); arbitrary at a kink.
-        kinks: times [s] at which a derivative jumps, ascending.
-        end: time after which the heights are constant [s].
+        heights: function of times [s], shape (T,), that returns road heights [m], shape (T, r).
+        rates: function of times [s] that returns the derivatives of the heights [m/s], shape (T, r); arbitrary at a kink.
+        kinks: times at which a derivative jumps [s], ascending.
+        end: time after which the road heights are constant [s].
     """
 
     heights: Callable[[Array], Array]
@@ -45,13 +46,15 @@ class RoadExcitation:
 
 @dataclass(frozen=True, eq=False)
 class RoadLoop:
-    """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x + Dyu u, and the signal C x + D u + f z that is bounded.
+    """Plant on a road, with one bounded signal.
+
+    The equations are x' = A x + B u + Bw z' + Br z and y = C_y x + Dyu u. The signal is C x + D u + f z.
 
     Attributes:
-        plant: n states, m inputs, r wheels; the only row of C and D is that of the signal.
-        Br: shape (n, r).
-        f: shape (r,).
-        drive: the road.
+        plant: plant with n states, m inputs and r wheels. C and D have a single row, that of the signal.
+        Br: effect of the road heights on the states, shape (n, r).
+        f: effect of the road heights on the signal, shape (r,).
+        drive: road with its heights over time.
         name: description of the signal and the road.
     """
 
@@ -69,7 +72,7 @@ class RoadLoop:
         return plant.A + plant.B @ G, plant.C[0] + plant.D[0] @ G
 
     def after(self, K: Array) -> Array:
-        """Returns (I - K Dyu)^-1, shape (m, m); NaN where the loop through the measurements has no solution."""
+        """Returns (I - K Dyu)^-1, shape (m, m); NaN if it does not exist."""
         try:
             return np.linalg.inv(np.eye(len(K)) - K @ self.plant.Dyu)
         except np.linalg.LinAlgError:
@@ -78,13 +81,13 @@ class RoadLoop:
 
 @dataclass(frozen=True, eq=False)
 class QuadratureInterval:
-    """Part of a step.
+    """Interval within a step.
 
     Attributes:
         step: index of the step.
         start, length: start and length of the interval [s].
         nodes: heights at the nodes of the quadrature, shape (NODES, r).
-        at_kink: True if one of its ends is a kink.
+        at_kink: True if one of the ends is a kink.
     """
 
     step: int
@@ -95,19 +98,19 @@ class QuadratureInterval:
 
 
 class RoadResponse:
-    """The motion of closed loops of one plant on one road, at equidistant times.
+    """Motion of closed loops of one plant on one road, at equidistant times.
 
     Attributes:
-        h: the step [s].
-        time: shape (T,), from 0 [s].
-        pieces: intervals of the steps with a kink, in order.
+        h: time step [s].
+        time: times from 0 [s], shape (T,).
+        pieces: intervals of the steps that contain a kink, in order.
     """
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
         """Args:
-        driven: the plant on its road.
-        step: between times [s].
-        length: the last time, about [s].
+        driven: plant on its road.
+        step: time step [s].
+        length: approximate last time [s].
         """
         self.driven, self.h = driven, step
         drive, count = driven.drive, max(2, int(np.ceil(length / step)))
@@ -117,7 +120,8 @@ class RoadResponse:
         self.at_nodes = self._nodes(self.time[:-1], np.full(count, step))
         self.z, self.rates = drive.heights(self.time), drive.rates(self.time)
         self.pieces: list[QuadratureInterval] = []
-        beside = np.concatenate([drive.kinks / step - NEXT, drive.kinks / step + NEXT])  # a kink between two steps is in both
+        # a kink between two steps belongs to both
+        beside = np.concatenate([drive.kinks / step - NEXT, drive.kinks / step + NEXT])
         for k in np.unique(np.floor(beside).astype(int)):
             if 0 <= k < count:
                 self.pieces += self._split(int(k))
@@ -126,10 +130,10 @@ class RoadResponse:
         self.piece_lengths = np.array([piece.length for piece in self.pieces])
         self.piece_nodes = np.array([piece.nodes for piece in self.pieces]).reshape(len(ends), *self.at_nodes.shape[1:])
         self.piece_steps = np.array([piece.step for piece in self.pieces], dtype=int)
-        self.piece_ends = ends - self.time[self.piece_steps]  # from the beginning of their steps
+        self.piece_ends = ends - self.time[self.piece_steps]  # relative to the beginning of their steps
 
     def _split(self, k: int) -> list[QuadratureInterval]:
-        """Returns the pieces of a step with kinks."""
+        """Splits a step with kinks into intervals."""
         start, end = float(self.time[k]), float(self.time[k]) + self.h
         kinks = self.driven.drive.kinks
         kinks = np.clip(kinks[(kinks >= start - NEXT * self.h) & (kinks <= end + NEXT * self.h)], start, end)
@@ -145,13 +149,13 @@ class RoadResponse:
         return intervals
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:
-        """Returns the heights at the nodes of steps, shape (T, NODES, r)."""
+        """Returns the road heights at the quadrature nodes of steps, shape (T, NODES, r)."""
         times = starts[:, None] + lengths[:, None] * self.s
         return self.driven.drive.heights(times.ravel()).reshape(len(starts), NODES, -1)
 
     def motion(self, A: Array) -> tuple[Array, Array]:
-        """Returns xi of a loop with this matrix at all times, shape (T, n), and at the ends of all pieces, shape (P, n)."""
-        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # real if all poles are
+        """Returns xi of a loop with matrix A at all times, shape (T, n), and at the ends of all intervals, shape (P, n)."""
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # real if all poles are real
         E = A @ self.driven.plant.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
@@ -162,7 +166,7 @@ class RoadResponse:
             return self._step_by_step(A, E)
         from scipy.signal import lfilter  # half a second
 
-        # Of a pair of conjugate modes one is computed, and counts twice.
+        # Only one mode of each conjugate pair is computed, and counts twice.
         mask = np.imag(values) >= 0
         twice = np.where(np.imag(values[mask]) > 0, 2.0, 1.0)
         values, vectors, driven = values[mask], vectors[:, mask] * twice, inverse[mask] @ E
@@ -171,9 +175,7 @@ class RoadResponse:
         decays = np.exp(self.piece_lengths[:, None] * values)
         kernel = self.piece_lengths[:, None, None] * self._kernel(values, self.piece_lengths[:, None, None])
         of_road = ((self.piece_nodes @ driven.T) * kernel).sum(axis=1)
-        for i, step in enumerate(
-            self.piece_steps
-        ):  # from rest at the beginning of its step; the motion from before is added later
+        for i, step in enumerate(self.piece_steps):  # from zero at the beginning of the step; the previous motion is added later
             if step != into:
                 into, state = step, np.zeros(len(values), complex)
             ends[i] = forcing[step] = state = decays[i] * state + of_road[i]
@@ -184,17 +186,17 @@ class RoadResponse:
         return _real_product(modes, vectors.T), _real_product(ends, vectors.T)
 
     def _kernel(self, values: Array, lengths: Array | float) -> Array:
-        """Returns the weights of the quadrature's nodes in the modes, over steps of given lengths, shape (..., NODES, n)."""
+        """Returns the weights of the quadrature nodes in the modes, for steps of given lengths, shape (..., NODES, n)."""
         return self.w[:, None] * np.exp(lengths * values * (1 - self.s[:, None]))
 
     def _modal(self, values: Array, driven: Array) -> Array:
-        """Returns the contribution of the road to the modes in every step, shape (T, n), by one product of real matrices."""
-        weights = self.h * self._kernel(values, self.h)[:, None, :] * driven.T  # of each height at each node
+        """Returns the contribution of the road to the modes in every step, shape (T, n), as one product of real matrices."""
+        weights = self.h * self._kernel(values, self.h)[:, None, :] * driven.T  # weight of each height at each node
         flat, weights = self.at_nodes.reshape(len(self.at_nodes), -1), weights.reshape(-1, len(values))
         return flat @ weights.real + 1j * (flat @ weights.imag)
 
     def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
-        """Returns the same step by step, if the modes lose too many digits."""
+        """Returns the motion as in `motion`, but step by step, for loops whose modes lose too many digits."""
 
         def kernels(length: float) -> Array:
             return np.stack([w * length * linalg.expm(A * length * (1 - s)) @ E for s, w in zip(self.s, self.w, strict=True)])
@@ -214,7 +216,7 @@ class RoadResponse:
         return states, ends
 
     def signal(self, A: Array, c: Array, motion: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        """Returns a loop's signal and slope at all times, shapes (T,), and the signal at the ends of all pieces, shape (P,)."""
+        """Returns a loop's signal and slope at all times, shapes (T,), and its signal at the ends of intervals, shape (P,)."""
         states, ends = motion
         driven = self.driven
         Bw = driven.plant.Bw
@@ -223,9 +225,10 @@ class RoadResponse:
         return states @ c + self.z @ direct, slopes, ends @ c + self.z_ends @ direct
 
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:
-        """Returns the maxima of the cubics between neighbouring times and their positions, in steps from time 0, shapes (T-1,).
+        """Returns the maxima of the cubics between neighbouring times, and their positions, shapes (T-1,) each.
 
-        In a step with a kink only the ends count.
+        Positions are in steps from time 0. In a step with a kink, only its ends count.
+
 
         Args:
             values: values of a signal at all times, shape (T,).
@@ -234,7 +237,7 @@ class RoadResponse:
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):
             root = np.sqrt(np.maximum(c2 * c2 - 3 * c3 * c1, 0.0))
-            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # in forms without cancellation
+            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # in a form without cancellation
         best, where = values[:-1].copy(), np.zeros(len(c1))
         smooth = np.ones(len(c1), dtype=bool)
         smooth[[piece.step for piece in self.pieces]] = False
@@ -245,41 +248,43 @@ class RoadResponse:
         return best, where + np.arange(len(c1))
 
     def at(self, values: Array, slopes: Array, steps: float) -> float:
-        """Returns the cubic at positions between times, in steps from time 0."""
+        """Returns the value of the cubic at a position, in steps from time 0."""
         k = min(int(steps), len(values) - 2)
         s, (c1, c2, c3) = steps - k, self._cubics(values[k : k + 2], slopes[k : k + 2])
         return float(values[k] + s * (c1[0] + s * (c2[0] + s * c3[0])))
 
     def _cubics(self, values: Array, slopes: Array) -> tuple[Array, Array, Array]:
-        """Returns c1, c2, c3 of y = values + c1 s + c2 s^2 + c3 s^3, s from 0 to 1 between neighbouring times."""
+        """Returns c1, c2, c3 of the cubics y = values + c1 s + c2 s^2 + c3 s^3, with s from 0 to 1 between neighbouring times."""
         rise, p, q = np.diff(values), slopes[:-1] * self.h, slopes[1:] * self.h
         return p, 3 * rise - 2 * p - q, p + q - 2 * rise
 
 
 def _real_product(a: Array, b: Array) -> Array:
-    """Returns the real part of a product of complex matrices, by real ones: many times as quick as complex where one is thin."""
+    """Returns the real part of a product of complex matrices. Real products are much faster if one matrix is narrow."""
     return np.real(a) @ np.real(b) - np.imag(a) @ np.imag(b)
 
 
 def _finite(rates: Array) -> Array:
-    """Returns rates, with zero at a vertical edge of the road, where no cubic is used."""
+    """Returns the rates with zeros at vertical edges of the road, where the cubics are not used."""
     return np.where(np.isfinite(rates), rates, 0.0)
 
 
 def step_for(rate: float, share: float, end: float) -> float:
-    """Returns the step for the fastest motion and the road: a share of a radian, down to an eighth of that for a short road.
+    """Returns the time step for the fastest motion and for the road.
+
+    The step is a share of a radian of the fastest motion. A short road reduces the step, at most to an eighth.
 
     Args:
-        rate: rate of the motion [rad/s].
-        share: share of a radian per step.
-        end: end of the road [s].
+        rate: magnitude of the fastest pole [rad/s].
+        share: phase of the fastest motion per step [rad].
+        end: time at which the road ends [s].
     """
     step = share / rate
     return min(step, max(end / 200, step / 8))
 
 
 def homogeneous_response(A: Array, x: Array, h: float, count: int) -> Array:
-    """Returns exp(A k h) x for k = 0, 1, ..., shape (count, n), by doubling."""
+    """Returns exp(A k h) x for k = 0, 1, ... by doubling, shape (count, n)."""
     responses, power = x[None], linalg.expm(A * h)
     while len(responses) < count:
         responses = np.concatenate([responses, responses @ power.T])

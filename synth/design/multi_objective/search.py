@@ -1,12 +1,13 @@
-"""The gain of the least goal within its bounds, from many starts.
+"""Search for the gain with the smallest goal within its bounds, from many starts.
 
-- Starts that make no loop unstable are ranked. A few of the best descend for some rounds, and the best of these descends to its
-  end.
-- Without a bound on the gain, the gain grows by stages, as in `synth.design.descent.growth`, as long as that is worth it.
-- The active errors are all vertices of the box if these are few, or else the worst errors found so far. Only the certificate
-  shows that the box has no worse ones.
-- Every start of a descent, and every end, is checked for errors that make it unstable. If no decay is required, the slowest pole
-  keeps a tenth of the decay that the best start has with errors.
+- Starts that make all loops stable are ranked. A few of the best descend for some rounds, and the best of these descends until
+  it converges.
+- If the gain is unbounded, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
+  justifies this.
+- The active gain errors are all vertices of the box if there are few, otherwise the worst errors found so far. Only the
+  certificate proves that no error in the box is worse.
+- Every start and every end of a descent is checked for errors that make a loop unstable. If no decay rate is required, the
+  slowest pole must keep a tenth of the decay rate that the best start has with errors.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -27,41 +28,41 @@ from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
-LARGEST_GAIN = 1e5  # largest unbounded gain, in units of a point, while other bounds are exceeded
-DEAREST = 32.0  # times that, or times a larger gain of the start: limit while a goal is lowered
-MOST_VERTICES = 4  # of a box of errors that are all active from the beginning
-ENTERED_STARTS = 5  # starts that go down some rounds
-GLANCE, ROUNDS = 15, 80  # rounds
-TURNS = 12  # limit of descents, each with more active errors
-TURNS_ON = 6  # descents of some rounds by which a given gain is improved
-MET_TOLERANCE = 1e-6  # relative: errors with a smaller effect are ignored
-ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative: what a descent still gains where it ends, while errors violate it, and at last
-SLOWER = 0.1  # share of the best start's decay that is kept if no decay is required
+LARGEST_GAIN = 1e5  # largest entry of an unbounded gain, in units of a point, while bounds are violated
+DEAREST = 32.0  # limit on the entries while a goal is lowered: this multiple of one, or of a larger gain of the start
+MOST_VERTICES = 4  # largest number of vertices of a box of errors that are all active from the beginning
+ENTERED_STARTS = 5  # number of starts that descend for some rounds
+GLANCE, ROUNDS = 15, 80  # number of rounds of a short and of a full descent
+TURNS = 12  # largest number of descents, each with more active errors
+TURNS_ON = 6  # number of short descents that improve a given gain
+MET_TOLERANCE = 1e-6  # relative: errors that worsen a value by less are ignored
+ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative decrease that ends a descent, while errors still violate the result, and finally
+SLOWER = 0.1  # share of the best start's decay rate that is kept if no decay rate is required
 UNSTABLE = (
     "no static gain was found that stabilises every loop of the goals; give a smaller tolerance, fewer vehicles, or more "
     "signals and entries of the gain"
 )
-RANK = 30.0  # weight of a start's excess over a bound
+RANK = 30.0  # weight of a violated bound in the rank of a start
 
 
 class MinimaxSearch:
-    """The search for one problem."""
+    """Search for one problem."""
 
     def __init__(self, problem: MultiObjectiveProblem, on_progress: Progress) -> None:
         self.problem, self.full = problem, problem.nominal()
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
-        self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
+        self.safe_point: Array | None = None  # the last point that was checked and is stable with all errors found
         self.worst = WorstCaseErrors(problem)
         self.stable_starts: list[Array] = []
-        self.rate = problem.decay or 0.0  # rad/s
+        self.rate = problem.decay or 0.0  # required decay rate [rad/s]
         self.free = np.flatnonzero(problem.structure.ravel())
         self.active_errors = problem.corners(MOST_VERTICES)
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
         self.settled = ROUGHLY if problem.has_errors else CLOSELY
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
-        """Runs the search. Returns its last point, and the refused decrease of `MultiObjectiveDesign`."""
+        """Runs the search. Returns the last point, its evaluation, and the rejected decrease of `MultiObjectiveDesign`."""
         x, evaluation = self.best(starts, otherwise)
         refused, rough = None, self.settled == ROUGHLY
         for turn in range(TURNS):
@@ -70,7 +71,7 @@ class MinimaxSearch:
             if not evaluation.within:
                 x, evaluation = self.restore_feasibility(x)
             if rough and self.settled == CLOSELY and self.problem.gain is None:
-                # How large a gain is worth it the rough descents have told.
+                # The rough descents have shown how large a gain is worthwhile.
                 self.minimax.limit = np.full(len(x), float(np.abs(x).max()) or 1.0)
                 x, evaluation = self.converge(x, evaluation)
             else:
@@ -79,26 +80,27 @@ class MinimaxSearch:
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
                 if self.settled == CLOSELY:
                     break
-                self.settled = CLOSELY  # no further error violates it: now to its last digits
+                self.settled = CLOSELY  # no further error violates the result, so it is computed accurately
                 continue
-            self.incumbent = None  # of fewer errors
+            self.incumbent = None  # the stored point belongs to fewer errors
             x, evaluation = self.nearest_stable_point(x)
         if not evaluation.within:
             x, evaluation = self.restore_feasibility(x)
         if not evaluation.within:
             raise DesignError(self.explain_infeasibility(x))
-        if self.worst.unstable(self.full.gain(x)):  # finds further ones, turn after turn
+        if self.worst.unstable(self.full.gain(x)):  # every turn finds further errors
             raise DesignError(UNSTABLE)
         return x, evaluation, refused
 
     def improvement(self, gain: Array, errors: Sequence[GainErrors]) -> tuple[Array, Evaluation] | None:
-        """Descends from a gain for some rounds. Returns the best point, or None if none is within the bounds.
+        """Descends from a gain for some rounds. Returns the best point within the bounds; None if there is no such point.
 
-        The rounds are counted, `TURNS_ON` times `GLANCE`, and not timed: the result is the same everywhere.
+        The number of rounds, `TURNS_ON` times `GLANCE`, is fixed. There is no time limit, so the result is the same on every
+        computer.
 
         Args:
-            gain: gain of stable loops, shape (m, q).
-            errors: errors that are active from the beginning, in addition to none.
+            gain: gain with stable loops, shape (m, q).
+            errors: gain errors that are active from the beginning, in addition to zero errors.
         """
         self.settled = ROUGHLY
         self.activate(self.new_errors(errors))
@@ -117,25 +119,25 @@ class MinimaxSearch:
         return best
 
     def keep_decay(self, x: Array) -> None:
-        """Requires a share of the decay that a point has with errors."""
+        """Requires a share of the decay rate that a point has with errors."""
         self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(x))[0] for i in range(len(self.problem.members)))
         self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
         self.incumbent = None  # the stored point may decay more slowly
 
     def evaluate(self, x: Array) -> Evaluation:
-        """Returns the evaluation of a point, and stores the point if it is the best within all bounds."""
+        """Evaluates a point, and stores it if it is the best point within all bounds."""
         evaluation = self.minimax.evaluate(x)
         self.update_incumbent(x, evaluation)
         return evaluation
 
     def best_of(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
-        """Returns the stored point if it is better than this one, or this one."""
+        """Returns the stored point if it is better than the given point; otherwise the given point."""
         if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
             return self.incumbent
         return x, evaluation
 
     def update_incumbent(self, x: Array, evaluation: Evaluation) -> None:
-        """Stores a point if it is the best within all bounds."""
+        """Stores a point if it is the best point within all bounds."""
         if (
             evaluation.within
             and np.isfinite(evaluation.goal)
@@ -148,22 +150,22 @@ class MinimaxSearch:
         return [term for term in self.minimax.goals if isinstance(term, NormTerm)]
 
     def moved(self, x: Array, evaluation: Evaluation) -> None:
-        """Stores and reports a new point."""
+        """Stores and reports a new point of a descent."""
         self.update_incumbent(x, evaluation)
         self.on_progress(evaluation.goal, evaluation.within)
 
     def limit(self, gain: float | None) -> Array:
-        """Returns the largest allowed entries of a point."""
+        """Returns the largest allowed absolute value of each entry of a point."""
         if gain is None:
             return np.full(self.full.scale.size, LARGEST_GAIN)
         return self.full.point(np.full(self.full.shape, gain))
 
     def minimax_problem(self, errors: Sequence[GainErrors]) -> MinimaxProblem:
-        """Returns the problem with all terms, for some errors."""
+        """Returns the problem with all terms, for given gain errors."""
         return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
-        """Returns the directions that the structure allows, scaled to equal weight, shape (N, free)."""
+        """Returns the directions that the structure allows, scaled to equal weight, as columns."""
         return directions(self.full, x, self.free)
 
     def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation]:
@@ -175,12 +177,13 @@ class MinimaxSearch:
         ranked = self.stable_with_errors(points, otherwise)
         self.stable_starts = ranked
         if not self.rate:
-            self.keep_decay(next((x for x in ranked if x.tobytes() in given), ranked[0]))  # others may rank best by being slow
+            # random gains may rank best because they are slow
+            self.keep_decay(next((x for x in ranked if x.tobytes() in given), ranked[0]))
         self.safe_point = ranked[0]
         return min((self.brief_descent(x) for x in ranked[:ENTERED_STARTS]), key=lambda each: self.cost(*each))
 
     def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
-        """Returns starts by increasing cost whose loops are stable with all errors found so far."""
+        """Returns the starts whose loops are stable with all errors found so far, by increasing cost."""
         for _ in range(TURNS):
             ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points])
             if not ranked:
@@ -199,12 +202,12 @@ class MinimaxSearch:
         raise DesignError(UNSTABLE)
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
-        """Returns the points of gains, reduced to what structure and limit allow."""
+        """Returns the points of gains, after applying the structure and the limit on the entries."""
         limit, mask = self.minimax.limit, self.problem.structure
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
     def brief_descent(self, x: Array) -> tuple[Array, Evaluation]:
-        """Descends for a few iterations. If the gain is unbounded, it may at most double."""
+        """Descends for a few rounds. If the gain is unbounded, it may at most double."""
         whole = self.minimax.limit
         if self.problem.gain is None:
             self.minimax.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
@@ -214,12 +217,12 @@ class MinimaxSearch:
             self.minimax.limit = whole
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
-        """Returns a cost, lower is better: twice the gain has to pay for itself if the gain is unbounded."""
+        """Returns the cost of a point. If the gain is unbounded, twice the gain must lower the goal by enough."""
         worth = price(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + worth)
 
     def restore_feasibility(self, x: Array) -> tuple[Array, Evaluation]:
-        """Returns a point within all bounds, or the nearest to that which the search finds."""
+        """Returns a point that fulfils all bounds, or the point with the smallest violation that the search finds."""
         minimax = self.minimax
         minimax.limit = self.limit(self.problem.gain)
         bounds = MinimaxProblem(minimax.bounds, [], minimax.limit)
@@ -235,7 +238,7 @@ class MinimaxSearch:
         return best, minimax.evaluate(best)
 
     def nearest_stable_point(self, x: Array) -> tuple[Array, Evaluation]:
-        """Returns the point, or another at which all loops are stable, also with the errors added since."""
+        """Returns the point, or another point, at which all loops are stable with all active errors."""
         sure = [] if self.safe_point is None else [self.safe_point]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:
@@ -246,7 +249,7 @@ class MinimaxSearch:
         raise DesignError(UNSTABLE)
 
     def rank(self, evaluation: Evaluation) -> float:
-        """Returns the rank of a start, lower is better."""
+        """Returns the rank of a start; a smaller rank is better."""
         return evaluation.goal * (1 + RANK * max(evaluation.excess, 0.0))
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
@@ -260,16 +263,16 @@ class MinimaxSearch:
         return [x for _, x in kept]
 
     def stabilised(self, x: Array) -> Array:
-        """Returns a point at which the largest real part of a pole of any loop is smaller."""
+        """Lowers the largest real part of the poles of all loops from a point. Returns the new point."""
         moved = lower_poles([term.landscape for term in self.norms()], x, self.free)
         return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 
     def down(self, x: Array, rounds: int) -> tuple[Array, Evaluation]:
-        """Performs a descent and returns its result."""
+        """Performs a descent, and returns its result."""
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved, flat=FLAT * self.settled / CLOSELY)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
-        """Descends to the end: at once if the gain is bounded, else by stages of growth, as long as each pays for itself."""
+        """Descends until convergence: in one stage if the gain is bounded, otherwise in stages of a growing gain."""
         if self.problem.gain is not None:
             return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
@@ -287,7 +290,7 @@ class MinimaxSearch:
         return x, evaluation, refused and refused[0]
 
     def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
-        """Repeats descents, each in coordinates of its own, until one brings nothing."""
+        """Repeats descents, each in new coordinates, until a descent has no effect."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
             if not self.rank(there) < self.rank(evaluation) * (1 - self.settled):
@@ -296,7 +299,7 @@ class MinimaxSearch:
         return x, evaluation
 
     def add_violating_errors(self, x: Array, evaluation: Evaluation) -> bool:
-        """Looks for gain errors that worsen the point, activates them and returns True if there were any."""
+        """Searches for gain errors that worsen the point, and activates them. Returns True if there were any."""
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)
@@ -312,14 +315,14 @@ class MinimaxSearch:
         return list({each.key: each for each in errors if each.key not in met}.values())
 
     def activate(self, errors: Sequence[GainErrors]) -> None:
-        """Activates the errors: adds their objectives and bounds to the problem."""
+        """Activates gain errors: adds their goals and bounds to the problem."""
         self.active_errors += errors
         goals, bounds = objectives_of(self.problem, self.full, errors, self.rate)
         self.minimax.goals += goals
         self.minimax.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
 
     def tighten_peak_bounds(self, x: Array) -> bool:
-        """Recomputes the road peaks accurately. Tightens each bound that is exceeded and returns True if there was one."""
+        """Recomputes the road peaks accurately, and tightens each bound that is exceeded. Returns True if there was one."""
         tighter = False
         for term in self.minimax.bounds:
             if isinstance(term, RoadPeak) and term.value(x) <= 1 + BOUND_TOLERANCE:
@@ -330,6 +333,6 @@ class MinimaxSearch:
         return tighter
 
     def explain_infeasibility(self, x: Array) -> str:
-        """Returns the message with the bounds that the search could not keep, and by how much."""
+        """Returns a message with the bounds that the search could not fulfil, and their violations."""
         passed = " and ".join(f"{name} by {percent(share)}" for name, share in self.minimax.passed(x).items())
         return f"no gain was found that keeps all bounds; the nearest misses {passed}; relax these bounds, or measure more"

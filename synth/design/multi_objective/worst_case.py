@@ -1,6 +1,6 @@
-"""Search for the worst errors of a loop: for a norm at the vertices of their box, for the slowest pole in the whole box.
+"""Search for the worst gain errors of a loop: at the vertices of their box for a norm, in the whole box for the slowest pole.
 
-A loop with errors is the loop without them under the gain that acts, (1 + forces) K (1 + sensors).
+A loop with errors equals the loop without errors with the gain (1 + forces) K (1 + sensors).
 """
 
 from collections.abc import Iterator
@@ -12,15 +12,15 @@ from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import Band, BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
-TURNS = 4  # passes through all errors
-NOT_STABLE = 1e6  # value that stands for a bound's excess by an unstable loop
-CORNERS = 8  # number of errors up to which all vertices are tried; for the slowest pole, with more errors, as many vertices
-INSIDE = 64  # points tried inside the box
+TURNS = 4  # largest number of passes over all errors
+NOT_STABLE = 1e6  # value of a bound for an unstable loop
+CORNERS = 8  # largest number of errors for which all vertices are tried; with more, 2^8 random vertices for the slowest pole
+INSIDE = 64  # number of points inside the box that are tried
 SEED = 20261122
 
 
 class WorstCaseErrors:
-    """The search for the worst gain errors of a multi-objective problem."""
+    """Search for the worst gain errors of a multi-objective problem."""
 
     def __init__(self, problem: MultiObjectiveProblem) -> None:
         self.problem = problem
@@ -29,13 +29,14 @@ class WorstCaseErrors:
         self.landscape = cache(self._landscape)
 
     def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, GainErrors]]:
-        """Yields the worst errors of every member for the goal, every bound on a norm and the decay.
+        """Yields the worst errors of every member for the goal, for every bound on a norm, and for the decay rate.
 
-        Each comes with its value relative to the known goal or the bound: above 1 it is worse.
+        Each item contains a value relative to the known goal or to the bound. Errors with a value above 1 are worse than known.
 
         Args:
-            K: shape (m, q).
-            rate: decay rate that is required [rad/s]; 0 for no requirement.
+            K: gain, shape (m, q).
+            goal: largest value of the goal known so far.
+            rate: required decay rate [rad/s]; 0 if there is no requirement.
         """
         problem = self.problem
         for i in range(len(problem.members)):
@@ -47,7 +48,10 @@ class WorstCaseErrors:
                 yield self.of_decay(i, rate, K)
 
     def of_norm(self, i: int, norm: NormSpecification, unit: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest norm of a member in a unit, at all vertices, or of many found from one to the next."""
+        """Returns the largest norm of a member, relative to `unit`, and its errors.
+
+        With few errors, all vertices of the box are tried. With many errors, the search changes one error at a time.
+        """
         landscape = self.landscape(i, norm.which, norm.band)
 
         def at(signs: Array) -> float:
@@ -78,21 +82,21 @@ class WorstCaseErrors:
         return best, self._errors(worst)
 
     def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the slowest pole of a member, in the form of `Decay`."""
+        """Returns the slowest pole of a member in the form of `Decay`, and its errors."""
         real, errors = self.slowest(i, K)
         return min(2 + real / rate, NOT_STABLE), errors
 
     def unstable(self, K: Array) -> list[GainErrors]:
-        """Returns the worst errors of each member whose loop they destabilise."""
+        """Returns the worst errors of each member whose loop the errors make unstable."""
         if not len(self.free):
             return []
         slowest_of = (self.slowest(i, K) for i in range(len(self.problem.members)))
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest real part of a pole that a gain moves [rad/s], at vertices and inside, and the errors.
+        """Returns the largest real part of the poles that the gain can move [rad/s], over all points tried, and its errors.
 
-        It is infinite if a loop has no solution. Poles of a discrete plant are those of its continuous image.
+        The value is infinite if a loop has no solution. For a discrete plant, the poles are those of its continuous image.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
         if count > CORNERS:
@@ -100,7 +104,7 @@ class WorstCaseErrors:
             tried[:, self.free] = rng.choice((-1.0, 1.0), (len(tried), count))
         else:
             tried = self._vertices()
-        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first point is without errors
+        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first of these points is without errors
         inside[1:, self.free] = rng.uniform(-1, 1, (INSIDE, count))
         tried = np.concatenate([tried, inside])
         best, worst = -np.inf, tried[0]
@@ -110,20 +114,21 @@ class WorstCaseErrors:
             if not values[k] > best:
                 return best, self._errors(worst)
             best, worst = float(values[k]), tried[k]
-            tried = np.repeat(worst[None], 2 * count, axis=0)  # each error at its lower or upper end
+            # all errors unchanged except one, which is at its lower or upper end
+            tried = np.repeat(worst[None], 2 * count, axis=0)
             tried[np.arange(2 * count), np.tile(self.free, 2)] = np.repeat((-1.0, 1.0), count)
             if not count:
                 return best, self._errors(worst)
 
     def _vertices(self) -> Array:
-        """Returns all vertices of the box, in its units, shape (2^k, q + m)."""
+        """Returns all vertices of the box, in units of the box, shape (2^k, q + m)."""
         count = len(self.free)
         vertices = np.zeros((2**count, len(self.sides)))
         vertices[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
         return vertices
 
     def _slowest(self, i: int, K: Array, signs: Array) -> Array:
-        """Returns the largest real parts, shape (N,), for errors in units of their box, shape (N, q + m)."""
+        """Returns the largest real parts, shape (N,), for errors in units of the box, shape (N, q + m)."""
         landscape = self.landscape(i, self.problem.minimise.which, self.problem.minimise.band)
         points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
         own, plant = slice(landscape.own), landscape.plant
@@ -133,7 +138,7 @@ class WorstCaseErrors:
         return slowest
 
     def _acting(self, K: Array, signs: Array) -> Array:
-        """Returns (1 + forces) K (1 + sensors), shape (..., m, q), for errors in units of their box, shape (..., q + m)."""
+        """Returns (1 + forces) K (1 + sensors), shape (..., m, q), for errors in units of the box, shape (..., q + m)."""
         factors, q = 1 + signs * self.sides, self.problem.shape[1]
         return factors[..., q:, None] * K * factors[..., None, :q]
 
@@ -148,6 +153,14 @@ class WorstCaseErrors:
 def worst_of_norm(
     problem: MultiObjectiveProblem, i: int, norm: NormSpecification | None, unit: float, K: Array
 ) -> tuple[float, GainErrors]:
-    """Returns a member's largest value found, of a norm or, for None, the decay, and its errors, for a gain of shape (m, q)."""
+    """Returns the largest value of a member that the search finds, and its errors.
+
+    Args:
+        problem: multi-objective problem of the member.
+        i: index of the member.
+        norm: norm that is evaluated; None for the decay rate.
+        unit: value that counts as one; for the decay rate, the required rate [rad/s].
+        K: gain, shape (m, q).
+    """
     worst = WorstCaseErrors(problem)
     return worst.of_decay(i, unit, K) if norm is None else worst.of_norm(i, norm, unit, K)

@@ -1,1 +1,1 @@
-"""Errors of readings and forces: the worst case, bounds that hold for all of them, and how much of them a law bears."""
+"""Gain errors of measurements and forces: worst case, bounds for all errors, and the largest errors that a law tolerates."""

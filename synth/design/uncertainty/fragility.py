@@ -1,7 +1,7 @@
-"""Fragility of a law: tolerated errors of its readings, forces and coefficients, and their cost, in words and as JSON.
+"""Fragility of a law: tolerated errors of its measurements, forces and coefficients, and their cost, as text and as JSON.
 
-Each amount is enclosed: by a box of errors for which the property is proved, and by errors at which it fails. With one force,
-errors of the entries of its gain include an error of the force. With several forces each force may be off, too.
+Each margin has two limits: a box of errors for which the property is proved, and errors for which it fails. With one force,
+errors of the entries of its gain include an error of the force. With several forces, each force has its own error in addition.
 """
 
 import math
@@ -24,26 +24,27 @@ from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_max
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 
-INT16 = 2**15 - 1  # the largest number
-FLOAT16 = 2.0**15  # a matrix is held over the power of two that brings its largest entry below this, where it is beyond
+INT16 = 2**15 - 1  # largest integer
+FLOAT16 = 2.0**15  # a matrix with a larger entry is divided by the smallest power of two that brings the entry below this
 FORMATS = ("int16", "float16")
 
 
 def rounding(law: LinearLaw, closed: Callable[[LinearLaw], tuple[Plant, Feedback]], plant: Plant) -> dict[str, Certificate]:
-    """Returns the certificates of a law with coefficients rounded to each of `FORMATS`.
+    """Returns the certificates of a law whose coefficients are rounded to each of `FORMATS`.
 
     Args:
-        closed: returns the plant and the gain of a law.
+        closed: function that returns the plant and the gain of a law.
         plant: plant without the law's states.
     """
     return {to: certify_tightly(*closed(round_law(law, to)), plant_without_law=plant) for to in FORMATS}
 
 
 def round_law(law: LinearLaw, to: str) -> LinearLaw:
-    """A law with its matrices in another format.
+    """Returns a law with its matrices rounded to another number format.
 
     Args:
-        to: "int16", each matrix over its largest entry; or "float16", each as it is, or over a power of two where it is beyond.
+        to: "int16", relative to the largest entry of each matrix; or "float16", divided by a power of two if an entry is too
+            large.
     """
     number = {"int16": _int16, "float16": _float16}[to]
     return LinearLaw(number(law.A), number(law.B), number(law.C), number(law.D), law.sample_period)
@@ -60,28 +61,32 @@ def _float16(matrix: Array) -> Array:
     return (matrix / scale).astype(np.float16).astype(float) * scale
 
 
-SHARES = (0.01, 0.1)  # of the norm: what errors may cost of it
-AMOUNTS = tuple(0.75**k for k in reversed(range(20)))  # looked at along a ray; at the last, 1, a reading may be missing
-EACH = 3  # factors up to which a ray leads to every corner; of more, to those that flips lead to in boxes of these sizes
+SHARES = (0.01, 0.1)  # allowed increases of the norm due to errors, relative
+# amounts that are tried along a ray; the largest amount 1 means that a measurement or force may be missing
+AMOUNTS = tuple(0.75**k for k in reversed(range(20)))
+# number of factors up to which every corner is a ray; with more, a vertex search in boxes of these sizes gives the rays
+EACH = 3
 SIZES = (0.05, 0.25, 1.0)
-EXACT = 1e-10  # relative; how closely an amount is found along a ray
-WITHIN = 1e-3  # relative; in a box so much smaller it is looked for errors inside that do as much
-TURNS = 4  # times, at most
-CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # relative; how much smaller boxes are in which stability is tried to prove
-CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # likewise a norm
-LOOSELY = 4.0  # times the largest norm met in a box: a bound on it is tried there to prove stability
+EXACT = 1e-10  # relative accuracy of an amount along a ray
+WITHIN = 1e-3  # relative; in a box that is smaller by this much, errors inside are searched that have the same effect
+TURNS = 4  # largest number of repetitions
+# relative; by how much smaller the boxes are in which a proof of stability is tried
+CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
+CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # the same for a proof of a norm
+LOOSELY = 4.0  # multiple of the largest norm found in a box; a proof of stability uses this bound
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorMargin:
-    """The margin of relative errors.
+    """Margin of relative errors.
 
     Attributes:
-        proved_margin: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
-        bound: bound on the norm for these errors; infinite if nothing is proved.
-        smallest_violation: size of the smallest harmful errors found; infinite if none up to 1 are.
-        readings, forces: those relative errors, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
-        proof: kind of the proof; empty if nothing is proved.
+        proved_margin: errors up to this size, in any combination, are proved harmless; 0 if nothing is proved.
+        bound: proved bound on the norm for these errors; infinite if nothing is proved.
+        smallest_violation: size of the smallest harmful errors found; infinite if no errors up to 1 are harmful.
+        readings, forces: the smallest harmful errors, relative, shapes (q,) and (m,). If there are none, these are 1 and -1
+            along the worst ray.
+        proof: type of the proof; empty if nothing is proved.
     """
 
     proved_margin: float
@@ -94,14 +99,14 @@ class ErrorMargin:
 
 @dataclass(frozen=True, eq=False)
 class Fragility:
-    """The errors of readings and forces that a loop tolerates.
+    """Errors of measurements and forces that a loop tolerates.
 
     Attributes:
         norm: norm without errors.
-        stable: margin of stability.
-        heights: the norm as a function of factors.
-        rays: the ways to corners of boxes that are looked along.
-        shares: relative increases of the norm in `within`.
+        stable: margin of errors up to which the loop remains stable.
+        heights: norm as a function of the factors.
+        rays: directions to corners of boxes along which errors are tried, shape (k, q + m).
+        shares: allowed relative increases of the norm, for `within`.
     """
 
     norm: float
@@ -112,18 +117,18 @@ class Fragility:
 
     @cached_property
     def within(self) -> dict[float, ErrorMargin]:
-        """Returns the margin by allowed relative increase of the norm."""
+        """Margin of errors for each allowed relative increase of the norm."""
         with numerics():
             return {share: _error_margin(self.heights, self.rays, self.norm * (1 + share)) for share in self.shares}
 
 
 @numerics()
 def fragility(gain: ScaledGain, norms: bool = True) -> Fragility:
-    """Computes the errors that a loop tolerates, which is stable without errors.
+    """Computes the errors that a loop tolerates. The loop must be stable without errors.
 
     Args:
-        gain: the loop with factors.
-        norms: False if its norm is not that of the loop, so that only stability is studied.
+        gain: loop with factors for its measurements and forces.
+        norms: False to examine stability only, because the norm of `gain` is not the norm of the loop.
 
     Raises:
         ValueError: the loop is unstable without errors.
@@ -138,7 +143,7 @@ def fragility(gain: ScaledGain, norms: bool = True) -> Fragility:
 
 
 def box_of_all(gain: ScaledGain, amount: float) -> Box:
-    """The factors of all readings, and of several forces, that are off by up to an amount, relative."""
+    """Returns the box of relative errors up to `amount` of all measurements and, if there are several forces, of all forces."""
     return box_of(gain, amount, amount if gain.forces > 1 else 0.0)
 
 
@@ -147,7 +152,7 @@ def _at(gain: ScaledGain, errors: Array | float) -> Array:
 
 
 def _rays(heights: WorstCaseNormFunction) -> Array:
-    """The ways to corners of boxes that are looked along, of 1, -1 and 0, shape (k, q + m)."""
+    """Returns the directions to corners of boxes along which errors are tried, with entries 1, -1 and 0, shape (k, q + m)."""
     whole = box_of_all(heights.gain, 1.0)
     if len(whole.uncertain) <= EACH:
         corners = whole.vertices
@@ -157,7 +162,7 @@ def _rays(heights: WorstCaseNormFunction) -> Array:
 
 
 def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMargin:
-    """Returns the margin until the norm exceeds a level; for an infinite level, until the loop is unstable."""
+    """Returns the margin of errors until the norm exceeds a level; for an infinite level, until the loop is unstable."""
     gain = heights.gain
     amount, errors = _along_rays(heights, rays, level)
     for _ in range(TURNS):
@@ -172,8 +177,8 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
     errors_at = errors_of(gain, _at(gain, errors))
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     sizes = [min(amount, 1.0) * (1 - smaller) for smaller in (tried if np.isfinite(amount) else (0.0, *tried))]
-    proved, bound, kind, middle = 0.0, np.inf, "", 0  # most often the largest is proved
-    while sizes:  # what is proved of a box is true of smaller ones
+    proved, bound, kind, middle = 0.0, np.inf, "", 0  # the largest box, which is tried first, is usually proved
+    while sizes:  # a proof for a box is also valid for smaller boxes
         box, within = box_of_all(gain, sizes[middle]), WorstCaseNormFunction(gain)
         if np.isinf(level):
             local_maximum(within, box)
@@ -187,7 +192,10 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 
 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
-    """The smallest amount along rays that exceeds a level, and the errors there; infinite, with the errors of the highest end."""
+    """Returns the smallest amount along the rays that exceeds a level, and its errors.
+
+    If no amount exceeds the level, the result is infinite, with the errors at the end of the ray with the largest norm.
+    """
     best, at = np.inf, None
     for ray in rays:
         low = 0.0
@@ -207,7 +215,7 @@ def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tu
 
 
 def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, level: float) -> float:
-    """Bisects the amount along a ray at which a level is exceeded, between one that keeps it and one that does not."""
+    """Bisects the amount along a ray at which a level is exceeded, between an amount below and an amount above."""
     while high - low > EXACT * high:
         middle = (low + high) / 2
         over = heights.exceeds(_at(heights.gain, middle * ray), level)
@@ -215,17 +223,17 @@ def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, l
     return high
 
 
-NOTHING = 1e-12  # of an error that is none
-SAME = 1e-9  # relative, of two norms: two ways to one are as far apart
+NOTHING = 1e-12  # a smaller error counts as zero
+SAME = 1e-9  # relative; two norms that differ by less are equal, because two methods differ by as much
 
 
 def record(
     report: Fragility, rounding: Mapping[str, Certificate], measured: Sequence[str], forces: Sequence[str]
 ) -> dict[str, Any]:
-    """Returns the fragility as a JSON object: relative errors, None for infinite values.
+    """Returns the fragility as a JSON object with relative errors. Infinite values become None.
 
     Args:
-        rounding: certificates of the rounded gain, by number format.
+        rounding: certificates of the rounded law, by number format.
         measured: names of the q measured signals.
         forces: names of the m forces.
     """
@@ -247,7 +255,7 @@ def record(
 
 
 def whose(report: Fragility) -> str:
-    """Returns the erroneous quantities in words."""
+    """Returns the names of the quantities with errors, as text."""
     return "measurements and forces" if len(report.stable.forces) > 1 else "measurements"
 
 
@@ -256,7 +264,7 @@ def _percents(share: float, form: str = ".4g") -> str:
 
 
 def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """Returns the harmful errors by signal; for a harmless margin, those along the worst ray."""
+    """Returns the harmful errors by signal, as text; if no errors are harmful, those along the worst ray."""
     named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
     return ", ".join(f"{name} {_percents(error, '+.4g')}" for name, error in named if abs(error) > NOTHING) or "none"
 
@@ -270,7 +278,7 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
 
 
 def proved_text(report: Fragility) -> str:
-    """Returns the proved margins in words."""
+    """Returns the proved margins as text."""
     text = f"stability is {_proved_text(report.stable, 'each error')}"
     for share, one in report.within.items():
         beyond = f", and errors of {_percents(one.smallest_violation)} exceed it" if math.isfinite(one.smallest_violation) else ""
@@ -285,7 +293,7 @@ def _proved_text(one: ErrorMargin, what: str) -> str:
 
 
 def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
-    """Returns the effect of rounded coefficients on the norm as a sentence; empty if none are given."""
+    """Returns the effect of rounded coefficients on the norm as a sentence; empty if there are no rounded coefficients."""
     said = []
     for name, one in rounding.items():
         bound = f", proved below {digits(one.bound)}" if one.bound is not None else ""

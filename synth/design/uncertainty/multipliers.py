@@ -1,22 +1,23 @@
-"""Bounds on all loops of a box of constant errors by multipliers, each constant in an interval of frequencies.
+"""Bounds for all loops of a box of constant errors by multipliers, which are constant within intervals of frequency.
 
-Cut at the errors, p_k = delta_k q_k with a real |delta_k| <= 1, a loop is one plant from [p; w] to [q; z]. For D >= 0 and any G,
-both diagonal,
+A loop with errors is opened at the errors, p_k = delta_k q_k with a real |delta_k| <= 1. This gives one plant from [p; w] to
+[q; z]. For D >= 0 and any G, both diagonal,
 
     q* D q - p* D p >= 0,    j (p* G q - q* G p) = 0.
 
-So the norm from w to z is at most gamma at a frequency at which, for all p and w,
+At a given frequency, the norm from w to z is therefore at most gamma if, for all p and w,
 
     |z|^2 - gamma^2 |w|^2 + q* D q - p* D p + j (p* G q - q* G p)  <=  0
 
 (Fan, Tits, Doyle 1991, Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics, IEEE Transactions on
-Automatic Control 36). Where the same form without w and z is negative at all frequencies, no pole crosses the axis: if the middle
-of the box is stable, all of it is.
+Automatic Control 36). If the same form without w and z is negative at all frequencies, no pole crosses the imaginary axis. If
+the middle of the box is stable, the whole box is then stable.
 
-The proof divides the frequencies into intervals, each with constant D and G. Within one, the frequencies at which the form is
-singular show that it is negative everywhere, as in `structured_bound.py`: nothing is sampled, and the search for multipliers is
-not believed. The number of unknowns grows with the number of errors, not with that of the corners of their box. Multipliers are
-tight for constant errors. An X that all corners share (`worst_case.py`) is also valid for errors that change with time.
+The proof divides the frequencies into intervals with constant D and G. The frequencies at which the form is singular show
+whether it is negative in the whole interval, as in `structured_bound.py`. The proof needs no sampling and does not rely on the
+search for multipliers. The number of unknowns grows with the number of errors, not with the number of corners of their box.
+Multipliers give close bounds for constant errors. An X that all corners share (`worst_case.py`) is also valid for errors that
+change with time.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,20 +34,20 @@ from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.lmi.barrier import CENTRE_DECREMENT, Barrier, Block, lowest_last, newton
 from synth.plant.generalized import Plant
 
-NEAR = 3e-4  # relative; how far the bound lies above the best multipliers' peak
-EXACT = 1e-6  # relative: of p* D p and gamma^2 so much is left unused, for rounding
-CLOSE = 1e-5  # relative; how closely the least gamma^2 of one frequency is found
-LARGEST = 1e6  # of D and G, where p, q and z have size one
+NEAR = 3e-4  # relative distance of the bound above the peak of the best multipliers
+EXACT = 1e-6  # relative; share of p* D p and gamma^2 that is left unused as a margin for rounding
+CLOSE = 1e-5  # relative accuracy of the smallest gamma^2 at one frequency
+LARGEST = 1e6  # limit on D and G, if p, q and z are scaled to size one
 MOST_PARTS, MOST_PEAKS = 100, 40
-SHORTEST = 1e-4  # relative; of a step in frequency
-ENOUGH = 0.9997  # of gamma^2: the search for the least one ends below that
+SHORTEST = 1e-4  # relative length of the shortest interval of frequencies
+ENOUGH = 0.9997  # multiple of gamma^2 at which the search for the smallest gamma^2 ends
 
 
 def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
-    """Returns the loop of a box's middle that is cut at the errors of the box.
+    """Returns the loop at the middle of a box, opened at the errors of the box.
 
     Raises:
-        LinAlgError: the middle loop through the measurements is not well-posed.
+        LinAlgError: the loop at the middle is not well-posed.
     """
     plant, K, q, m = gain.plant, gain.K, gain.K.shape[1], len(gain.K)
     middle, half = box.middle, (box.high - box.low) / 2
@@ -72,13 +73,13 @@ def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
 
 @dataclass(frozen=True, eq=False)
 class MultiplierForm:
-    """The Hermitian form of a loop for one choice of multipliers.
+    """Hermitian form of a loop for one choice of multipliers.
 
     Attributes:
-        loop: the loop.
-        D, G: diagonals, shapes (k,).
-        square: gamma^2; no matter without w and z.
-        of_errors: the square of 1 / |delta_k|, the largest size of an error.
+        loop: loop, opened at its errors.
+        D, G: diagonals of the multipliers, shapes (k,).
+        square: gamma^2; unused if the loop has neither w nor z.
+        of_errors: square of 1 / |delta_k|, where |delta_k| is the largest size of an error.
     """
 
     loop: StructuredLoop
@@ -89,7 +90,7 @@ class MultiplierForm:
 
     @property
     def weights(self) -> tuple[Array, Array, Array]:
-        """Returns W, L and R of the form [T; I]* [W, L; L*, R] [T; I]: diagonals of W and R, and L, shape (d + k, r + k)."""
+        """Weights of the form [T; I]* [W, L; L*, R] [T; I]: the diagonals of W and R, and L of shape (d + k, r + k)."""
         (rows, columns), k = self.loop.loop.Dw.shape, self.loop.errors
         L = np.zeros((rows, columns), dtype=complex if np.any(self.G) else float)
         L[np.arange(rows - k, rows), np.arange(columns - k, columns)] = -1j * self.G if np.any(self.G) else 0.0
@@ -100,7 +101,7 @@ class MultiplierForm:
         )
 
     def at(self, T: Array) -> Array:
-        """Returns the largest eigenvalue for each of some frequency responses, shape (F,) for (F, d + k, r + k)."""
+        """Returns the largest eigenvalue of the form for each frequency response of shape (F, d + k, r + k), shape (F,)."""
         W, L, R = self.weights
         adjoint = T.conj().swapaxes(-1, -2)
         across = adjoint @ L
@@ -109,9 +110,9 @@ class MultiplierForm:
         return np.linalg.eigvalsh(size[:, None] * M * size)[:, -1]
 
     def singular(self) -> Array:
-        """Returns the frequencies at which the form may be singular [rad/s], and others, ascending.
+        """Returns all frequencies at which the form may be singular [rad/s], ascending. Further frequencies may be among them.
 
-        They are the eigenvalues of a Hamiltonian matrix; all their imaginary parts are taken, on the axis or not.
+        These are imaginary parts of eigenvalues of a Hamiltonian matrix. Eigenvalues off the imaginary axis are included.
         """
         M = self.loop.loop
         A, B, C, D = M.A, M.Bw, M.C, M.Dw
@@ -127,9 +128,9 @@ class MultiplierForm:
         return np.unique(omega[omega > 0])
 
     def negative(self, low: float, high: float) -> bool:
-        """Returns True if the form is negative in an interval of frequencies [rad/s], its lower end included.
+        """Returns True if the form is negative in an interval of frequencies [rad/s] that includes its lower end.
 
-        Between two frequencies at which it may be singular it is negative everywhere or nowhere.
+        Between two neighbouring singular frequencies, the form is negative either everywhere or nowhere.
         """
         singular = self.singular()
         inside = singular[(singular > low) & (singular < high)]
@@ -141,7 +142,7 @@ class MultiplierForm:
         return bool(np.all(self.at(responses) < 0))
 
     def reach(self, omega: float) -> float:
-        """Returns the end of the interval above a frequency in which the form is negative [rad/s]."""
+        """Returns the upper end of the interval from a given frequency in which the form is negative [rad/s]."""
         above = self.singular()
         above = above[above > omega]
         for i, end in enumerate(above):
@@ -152,7 +153,7 @@ class MultiplierForm:
 
 
 class MultiplierInterval(NamedTuple):
-    """An interval of frequencies [rad/s] with its multipliers, shapes (k,)."""
+    """Interval of frequencies [rad/s] with its multipliers, shapes (k,)."""
 
     low: float
     high: float
@@ -161,19 +162,19 @@ class MultiplierInterval(NamedTuple):
 
 
 def fill(parts: Sequence[MultiplierInterval], low: float, high: float) -> bool:
-    """Returns True if intervals fill a band without a gap."""
+    """Returns True if intervals cover a band without a gap."""
     ends = [low, *(part.high for part in parts)]
     return bool(parts) and not any(part.low > end for part, end in zip(parts, ends, strict=False)) and ends[-1] >= high
 
 
 @dataclass(frozen=True, eq=False)
 class MultiplierProof:
-    """A proof for all loops of a box, by intervals that fill a band. At all frequencies it includes their stability.
+    """Proof for all loops of a box, by intervals that cover a band. At all frequencies, it also proves stability.
 
     Attributes:
-        low, high: the band [rad/s].
-        parts: the intervals, ascending.
-        bound: the bound on the norm in the band; infinite for stability alone.
+        low, high: lower and upper end of the band [rad/s].
+        parts: intervals with their multipliers, ascending.
+        bound: proved bound on the norm in the band; infinite if only stability is proved.
     """
 
     kind: ClassVar[str] = "multipliers, computed twice"
@@ -184,7 +185,7 @@ class MultiplierProof:
     bound: float
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Returns True if the parts prove the bound for all loops of a box, stable or not; or else their stability."""
+        """Verifies the proof for a box. Returns True if the intervals prove the bound or, for an infinite bound, stability."""
         whole = (self.low, self.high) == (0.0, np.inf)
         if (
             not fill(self.parts, self.low, self.high)
@@ -202,14 +203,14 @@ class MultiplierProof:
 def bound_in_band(
     gain: ScaledGain, box: Box, low: float, high: float, first: float, tries: int = MOST_PEAKS
 ) -> MultiplierProof | None:
-    """Returns the proof of about the least bound on a norm in a band for a whole box, or None if none is found.
+    """Returns a proof of a bound close to the largest norm in a band for a whole box; None if no proof is found.
 
-    In part of the frequencies the bound does not imply stability.
+    A bound for a part of the frequencies does not imply stability.
 
     Args:
-        gain: loops of the gain, in continuous time, the middle one stable.
-        low, high: the band [rad/s]; `high` may be infinite.
-        first: the first bound that is tried, just above the largest norm found.
+        gain: loops with factors, in continuous time. The middle loop must be stable.
+        low, high: lower and upper end of the band [rad/s]; `high` may be infinite.
+        first: first bound that is tried, just above the largest norm found.
         tries: number of bounds that are tried.
     """
     if not 0 < first < np.inf or not len(box.uncertain) or not gain.well_posed(box):
@@ -218,7 +219,7 @@ def bound_in_band(
     for _ in range(tries):
         try:
             higher = search.cover(parts, low, high, gamma)
-        except np.linalg.LinAlgError:  # rounding leaves no answer
+        except np.linalg.LinAlgError:  # rounding prevents a solution
             return None
         if higher is None:
             proof = MultiplierProof(low, high, tuple(parts), gamma)
@@ -230,7 +231,7 @@ def bound_in_band(
 
 
 def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
-    """Returns a proof that all loops of a box are stable, or None if none is found."""
+    """Returns a proof that all loops of a box are stable; None if no proof is found."""
     if not len(box.uncertain) or not gain.well_posed(box):
         return None
     if not gain.stable(box.vertices if len(box.uncertain) <= MOST else box.middle):
@@ -239,7 +240,7 @@ def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
     try:
         if _Search(cut_loop(gain, box).of_errors, 1.0).cover(parts, 0.0, np.inf, np.inf) is not None:
             return None
-    except np.linalg.LinAlgError:  # rounding leaves no answer
+    except np.linalg.LinAlgError:  # rounding prevents a solution
         return None
     proof = MultiplierProof(0.0, np.inf, tuple(parts), np.inf)
     return proof if proof.holds(gain, box) else None
@@ -253,16 +254,18 @@ def cover(
     form: Callable[[Array], MultiplierForm],
     most: int = MOST_PARTS,
 ) -> tuple[float, float] | None:
-    """Adds intervals that prove a bound, to those that prove a lower one, until they fill a band, and returns None.
+    """Adds intervals that prove a bound until they cover a band. Returns None if they do.
 
-    At a frequency where the least bound is higher, it returns that bound and the frequency; without a bound, or beyond so many
-    intervals, infinity.
+    Otherwise returns the smallest provable bound and the frequency where the proof fails. This bound is infinite if no bound
+    can be proved, or if more than `most` intervals are needed.
 
     Args:
-        parts: intervals, ascending from the lower end of the band.
+        parts: intervals that already prove a lower bound, ascending from the lower end of the band.
+        band: lower and upper end of the band [rad/s].
         step: length of the first interval that is tried [rad/s].
-        multipliers: returns the least bound at a frequency, and [D, G] if the bound is low enough.
-        form: returns the form of [D, G] that must be negative.
+        multipliers: function that returns the smallest provable bound at a frequency, and [D, G] if this bound is low enough.
+        form: function that returns the form of [D, G], which must be negative.
+        most: largest number of intervals.
     """
     low, high = band
     here = parts[-1].high if parts else low
@@ -285,7 +288,7 @@ def cover(
 
 
 class _Search:
-    """The search for multipliers of a loop."""
+    """Search for the multipliers of a loop."""
 
     def __init__(self, loop: StructuredLoop, unit: float) -> None:
         self.loop, self.unit = loop, unit
@@ -293,22 +296,26 @@ class _Search:
         self.fastest = float(np.abs(np.linalg.eigvals(loop.loop.A)).max())
 
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
-        """Returns None once intervals that prove a bound fill a band, else the bound that a frequency needs; see `cover`."""
+        """Adds intervals that prove a bound, see `cover`.
+
+        Returns None if they cover the band, else the bound needed at a frequency.
+        """
         step = max(parts[-1].high if parts else low, low, self.fastest / 100) / 4
         higher = cover(parts, (low, high), step, partial(self.multipliers, gamma=gamma), partial(self.form, gamma=gamma))
         return None if higher is None else higher[0]
 
     def form(self, found: Array, gamma: float) -> MultiplierForm:
-        """Returns the form of [D, G]."""
+        """Returns the form of the multipliers [D, G]."""
         D, G = np.split(found, 2)
         return MultiplierForm(self.loop, D, G, gamma**2)
 
     def multipliers(self, omega: float, gamma: float) -> tuple[float, Array | None]:
-        """Returns a bound, and [D, G] in the middle of those that prove a given one at a frequency; see `_multipliers`."""
+        """Returns a bound at a frequency, and central multipliers [D, G] that prove a given bound; see `_multipliers`."""
         T, k = self.loop.at(np.array([omega]))[0], self.loop.errors
         d, r = (size - k for size in T.shape)
         T[:d] /= self.unit
-        of_z, of_w = (slice(d), slice(r)) if self.loop.performance else (slice(None), slice(None))  # or the errors alone decide
+        # without w and z, the errors alone determine the scales
+        of_z, of_w = (slice(d), slice(r)) if self.loop.performance else (slice(None), slice(None))
         into, seen = np.linalg.norm(T[of_z, r:], axis=0), np.linalg.norm(T[d:, of_w], axis=1)
         size = np.sqrt(np.where((into > 0) & (seen > 0), into / np.where(seen > 0, seen, 1.0), 1.0))
         T[d:] *= size[:, None]
@@ -316,7 +323,7 @@ class _Search:
         of_both, square = np.tile((self.unit * size) ** 2, 2), (gamma / self.unit) ** 2
         try:
             least, found = _multipliers(T, k, square, None if self.last is None else self.last / of_both)
-        except np.linalg.LinAlgError:  # those of the frequency before hardly serve
+        except np.linalg.LinAlgError:  # the multipliers of the previous frequency are not a useful start
             least, found = _multipliers(T, k, square, None)
         if found is None:
             return self.unit * least**0.5, None
@@ -325,16 +332,17 @@ class _Search:
 
 
 def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[float, Array | None]:
-    """Returns a gamma^2 that is proved of a response, and [D, G] in the middle of those that prove a given one, shape (2 k,).
+    """Returns a provable gamma^2 for a frequency response, and central multipliers [D, G] for a given gamma^2, shape (2 k,).
 
-    If the given one is too low, it is the least one, infinite without any, and there are no D and G.
+    If the given gamma^2 is too low, the result is the smallest provable gamma^2, and None for D and G. This gamma^2 is infinite
+    if nothing can be proved.
 
     Args:
-        start: [D, G] of a response nearby; None without one.
+        start: [D, G] of a similar frequency response; None if unknown.
     """
     d, r = (size - k for size in T.shape)
     N = 2 * k + 1
-    F = np.zeros((N, r + k, r + k), dtype=complex)  # of -M
+    F = np.zeros((N, r + k, r + k), dtype=complex)  # coefficients of -M
     for i in range(k):
         F[i] = -np.outer(T[d + i].conj(), T[d + i])
         F[i, r + i, r + i] += 1
@@ -343,9 +351,9 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         F[k + i] = row + row.conj().T
     F0 = -T[:d].conj().T @ T[:d]
     one, each = np.ones((1, 1)), np.eye(N)[:, :, None, None]
-    bounds = [(0 * one, each[i]) for i in range(k)]  # of D and G
+    bounds = [(0 * one, each[i]) for i in range(k)]  # limits on D and G
     bounds += [(LARGEST * one, sign * each[i]) for i in range(2 * k) for sign in ((-1, 1) if i >= k else (-1,))]
-    # First without w and z.
+    # First without w and z, so that only the errors count.
     own = F[:, r:, r:].copy()
     own[-1] = np.eye(k)
 
@@ -382,7 +390,7 @@ def _lowest(blocks: Sequence[Block], p: Array, enough: float, close: float = np.
 
 
 def _real(M: Array) -> Array:
-    """Returns the real symmetric matrices that are positive definite if and only if Hermitian ones are, shape (..., 2 k, 2 k)."""
+    """Returns real symmetric matrices, shape (..., 2 k, 2 k), that are positive definite if the Hermitian ones are."""
     real, imaginary = np.real(M), np.imag(M)
     upper, lower = (np.concatenate(pair, axis=-1) for pair in ((real, -imaginary), (imaginary, real)))
     return np.concatenate([upper, lower], axis=-2)

@@ -1,4 +1,4 @@
-"""A law on a plant whose readings and forces are off, as a gain between factors; and its box of errors."""
+"""Law on a plant with errors of measurements and forces, as a gain between factors, and the box of these errors."""
 
 import numpy as np
 
@@ -11,14 +11,15 @@ from synth.plant.generalized import Plant, law_gain, real_matrix
 
 
 def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
-    """Returns the loops of a law with factors on readings and forces; the law's own states have no errors.
+    """Returns the loops of a law with factors on its measurements and forces. The states of the law have no errors.
 
     Args:
-        plant: n states, m inputs and q measurements; continuous or discrete, as the law; with Dyu only if it is continuous.
-        law: u = K y, shape (m, q), or one with k states.
+        plant: generalised plant with n states, m inputs and q measurements; continuous or discrete, as the law. Only a
+            continuous plant may have Dyu.
+        law: gain K of u = K y, shape (m, q), or a law with k states.
 
     Raises:
-        InputError: a matrix has the wrong shape, or is not one of real finite numbers.
+        InputError: a matrix has the wrong shape, or an entry is not a finite real number.
     """
     plant = plant.measured()
     q, m = plant.Dyu.shape
@@ -30,12 +31,14 @@ def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
 
 
 def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
-    """Returns the box of factors of measurements off by +-d and forces off by +-e, relative, separately; unused factors are 1.
+    """Returns the box of factors for errors of +-d of the measurements and +-e of the forces.
+
+    The errors are relative and independent of each other. The factor of an unused measurement or force is 1.
 
     Args:
-        gain: q readings, m forces, beside the states of a law.
-        d: error for all measurements, or an error for each, shape (q,).
-        e: error for all forces, or an error for each, shape (m,).
+        gain: loop with q measurements and m forces, in addition to the states of a law.
+        d: largest error of all measurements, or of each measurement, shape (q,).
+        e: largest error of all forces, or of each force, shape (m,).
 
     Raises:
         InputError: there are too many errors, or an error is not a number from 0 to 1.
@@ -48,7 +51,7 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
 
 
 def errors_of(gain: ScaledGain, factors: Array) -> tuple[Array, Array]:
-    """Returns the relative errors of readings and forces of given factors, shapes (q,) and (m,)."""
+    """Returns the relative errors of measurements and forces for given factors, shapes (q,) and (m,)."""
     start = gain.K.shape[1]
     return factors[: gain.readings] - 1, factors[start : start + gain.forces] - 1
 

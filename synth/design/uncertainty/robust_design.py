@@ -1,9 +1,10 @@
-"""A law whose robust performance is better than that of the least norm: alternately scales for the law, and a law for the scales.
+"""Design of a law with better robust performance (mu) than the law with the smallest norm, by D-K iteration.
 
-For a law the best scales of each error are a curve over frequency. A stable first-order filter with a stable inverse follows its
-magnitude where mu is large. Between these filters the plant has a norm that bounds mu, and a design of the least norm lowers it
-(D-K iteration; Doyle 1985; Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 11.4). Either step is the best by itself
-and not both together, so there is no promise of the best law. Each law is judged by its own proved bound, and the best is kept.
+For a given law, the best scale of each error is a function of frequency. A stable first-order filter with a stable inverse
+follows its magnitude where mu is large. With these filters at its inputs and outputs, the norm of the plant bounds mu. A design
+of the smallest norm lowers this bound (D-K iteration; Doyle 1985; Zhou, Doyle, Glover 1996, Robust and Optimal Control, section
+11.4). Each of the two steps is optimal, but together they need not find the best law. Each law is evaluated by its own proved
+bound, and the best law is kept.
 """
 
 from dataclasses import replace
@@ -26,14 +27,16 @@ from synth.plant.numerics import DesignError
 from synth.plant.state_space import StateSpace
 
 TURNS = 6
-WORTH = 2e-3  # relative; a turn that lowers the bound by less is the last
+WORTH = 2e-3  # relative decrease of the bound below which the iteration ends
 STEEP = 4  # power of mu in the weight of a frequency
 
 
 def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a law with a better robust performance than that of the start; returns the start if none is found.
+    """Designs a law with better robust performance than the result of the previous method.
 
-    A law of fewer states begins with the scales of a law of full order.
+    If there is no better law, the previous result is returned.
+
+    The design of a law with fewer states than the plant begins with the scales of a full-order law.
     """
     start, errors, structure = problem.start, problem.errors, problem.structure
     assert start is not None, "a design for the norm comes first"
@@ -42,7 +45,7 @@ def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
     best = [first]
 
     def turns(problem: DesignProblem, law: LinearLaw) -> DesignResult:
-        """Returns the best of the laws that designs for the scales of one another lead to."""
+        """Alternates between scales for a law and a design for these scales. Returns the best law."""
         lowest, loop = first, errors.closed_by(problem.as_run(law))
         of_state = np.any(errors.plant.Cy != 0, axis=1)
         for _ in range(TURNS):
@@ -77,10 +80,10 @@ def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpace]]) -> Plant:
-    """Returns the plant between scales of its k errors.
+    """Returns the plant with scales at the inputs and outputs of its k errors.
 
     Args:
-        filters: filters for each error: the scale of q and its inverse, whose output is p.
+        filters: two filters for each error: the scale of q, and its inverse, whose output is p.
     """
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))
     inputs = append(gain(np.eye(plant.Bw.shape[1] - k)), *(inverse for _, inverse in filters))
@@ -88,7 +91,7 @@ def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpac
 
 
 def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]:
-    """Returns, for each error, a first-order filter that follows its best scale over frequency, and the filter's inverse."""
+    """Returns two filters for each error: a first-order filter that follows its best scale over frequency, and the inverse."""
     k, grid, units = loop.errors, loop.grid, loop.units
     M = loop.at(grid)
     M[:, -k:] *= units[:, None]
@@ -102,7 +105,7 @@ def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]
 
 
 def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[StateSpace, StateSpace]:
-    """Returns g (s + a) / (s + b) whose magnitude follows a curve, and its inverse."""
+    """Returns g (s + a) / (s + b), fitted to a magnitude over frequency, and its inverse."""
     low, high = np.log(grid[[0, -1]])
 
     def off(x: Array) -> Array:

@@ -1,15 +1,16 @@
-"""Upper bound on the structured singular value of a loop at all frequencies, found by scales and proved by level sets.
+"""Upper bound on the structured singular value of a loop at all frequencies, found with scales and proved with level sets.
 
-For errors Delta, a full block from z to w among them, mu(M) <= |D M D^-1| for any positive scales D of the errors (Doyle 1982;
-Packard, Doyle 1993, The complex structured singular value, Automatica 29). Errors of size below 1 / mu leave a loop stable. With
-the performance block, mu <= gamma also bounds the norm from w to z by gamma, for all errors of size 1 / gamma.
+The errors Delta include a full block from z to w. For any positive scales D of the errors, mu(M) <= |D M D^-1| (Doyle 1982;
+Packard, Doyle 1993, The complex structured singular value, Automatica 29). A loop stays stable with all errors of a size below
+1 / mu. With the performance block, mu <= gamma also means that the norm from w to z is at most gamma, for all errors of size 1
+/ gamma.
 
-The proof is that of `multipliers.py` for errors of size 1 / gamma, with D the squares of the scales and G = 0, as errors that
-change with frequency have a phase. Where no scales are below the level, the level is too low, and that frequency is a higher
-peak.
+The proof is that of `multipliers.py` for errors of size 1 / gamma. D contains the squares of the scales, and G = 0 because
+errors that depend on frequency have a phase. If no scales give a value below the level at some frequency, the level is too low,
+and this frequency belongs to a higher peak.
 
-The largest singular value is convex in the logarithms of the scales. Its Schatten norm is smooth, likewise convex, and tends to
-it.
+The largest singular value is a convex function of the logarithms of the scales. The Schatten norm of the matrix is smooth and
+convex, too. With a growing power, this norm tends to the largest singular value.
 """
 
 from dataclasses import dataclass
@@ -23,28 +24,29 @@ from synth.analysis.stability import is_stable
 from synth.design.uncertainty.multipliers import MultiplierForm, MultiplierInterval, cover, fill
 from synth.design.uncertainty.structured_loop import StructuredLoop
 
-NEAR = 5e-4  # relative; how far the bound lies above the best scales' peak
-EXACT = 1e-6  # relative; what is proved lies this far above the level of the search, where intervals end
-POWERS = (64, 4096)  # of Schatten norms, one after the other
-ALONE = 1e-6  # share of the other singular values in a Schatten norm, which then is the largest one and has its minimum
-FURTHEST = 16.0  # of the logarithm of a scale, from the loop's own units
-EASY = 0.9  # of the level; scales below that are not bettered
-MOST_STEPS = 60  # with one Schatten norm
-CLOSE = 1e-7  # of the logarithm of a single scale
-REFINED_PEAKS = 4  # peaks of the loop in its units that are climbed first
-WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7  # relative; of steps in frequency to a peak, and of the rise that is worth one
-SMALLEST = 1e-12  # bound; a loop that does not reach its errors has mu = 0
+NEAR = 5e-4  # relative distance of the bound above the peak of the best scales
+EXACT = 1e-6  # relative distance of the proved bound above the level of the search, because intervals end at this level
+POWERS = (64, 4096)  # powers of the Schatten norms that are used one after the other
+ALONE = 1e-6  # share of the other singular values in a Schatten norm, below which it equals the largest singular value
+FURTHEST = 16.0  # limit on the logarithm of a scale, relative to the loop's internal units
+EASY = 0.9  # multiple of the level; scales with a lower value are not improved further
+MOST_STEPS = 60  # largest number of evaluations per Schatten norm
+CLOSE = 1e-7  # accuracy of the logarithm of a single scale
+REFINED_PEAKS = 4  # number of peaks of the loop in internal units from which the search for the highest peak starts
+# relative: largest and smallest step in frequency towards a peak, and the smallest rise that counts
+WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7
+SMALLEST = 1e-12  # smallest bound; a loop without any effect of its errors has mu = 0
 MOST_PARTS, MOST_PEAKS = 2000, 60
 
 
 @dataclass(frozen=True, eq=False)
 class StructuredBound:
-    """A bound on the structured singular value at all frequencies, with its proof.
+    """Bound on the structured singular value at all frequencies, with its proof.
 
     Attributes:
-        gamma: the bound; infinite if the loop without errors is not stable.
-        peak_frequency: frequency at which the best scales are highest [rad/s].
-        parts: intervals from 0 to infinity, each with scales.
+        gamma: proved bound; infinite if the loop without errors is not stable.
+        peak_frequency: frequency at which the bound with the best scales is highest [rad/s].
+        parts: intervals of frequency from 0 to infinity, each with its scales.
     """
 
     gamma: float
@@ -52,19 +54,19 @@ class StructuredBound:
     parts: tuple[MultiplierInterval, ...]
 
     def holds(self, structured: StructuredLoop) -> bool:
-        """Returns True if the parts prove the bound for a loop, by level sets of each."""
+        """Verifies with level sets that the intervals prove the bound for a loop."""
         if not fill(self.parts, 0.0, np.inf) or not is_stable(structured.loop.A):
             return False
         return all(_form(structured, self.gamma, part.D).negative(part.low, part.high) for part in self.parts)
 
 
 def _form(structured: StructuredLoop, gamma: float, D: Array) -> MultiplierForm:
-    """Returns the form that is negative where squares of scales D prove a bound."""
+    """Returns the form that is negative if the squares of scales D prove a bound."""
     return MultiplierForm(structured, D, np.zeros_like(D), gamma**2, gamma**2)
 
 
 def structured_bound(structured: StructuredLoop) -> StructuredBound:
-    """Returns a bound on the structured singular value of a loop, next to the peak of the best scales."""
+    """Returns a bound on the structured singular value of a loop, close to the peak of the best scales."""
     if not is_stable(structured.loop.A):
         return StructuredBound(np.inf, np.nan, ())
     search = _Search(structured)
@@ -90,17 +92,17 @@ def structured_bound(structured: StructuredLoop) -> StructuredBound:
 
 
 def best_scales(M: Array, errors: int, start: Array | None = None, enough: float = 0.0) -> tuple[float, Array]:
-    """Returns the least |D M D^-1| and the logarithms of its scales, shape (k,).
+    """Returns the smallest |D M D^-1|, and the logarithms of its scales, shape (k,).
 
     Args:
         M: matrix, complex, shape (d + k, r + k).
-        errors: k.
-        start: logarithms of scales to begin with; zero by default.
-        enough: scales below it need not be the best.
+        errors: number k of errors.
+        start: logarithms of the scales to begin with; zero by default.
+        enough: value at which the search ends before its minimum.
     """
     k = errors
     x = np.zeros(k) if start is None else np.clip(start, -FURTHEST, FURTHEST)
-    first = int(len(M) == k)  # without a performance block a common factor of all scales does nothing
+    first = int(len(M) == k)  # without a performance block, a common factor of all scales has no effect
     N, up, down = M.copy(), np.ones(len(M)), np.ones(M.shape[1])
     rows, columns = (slice(count - k + first, None) for count in M.shape)
 
@@ -138,14 +140,14 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
 
 
 class _Search:
-    """The search for scales of a loop, in its own units."""
+    """Search for the scales of a loop, in internal units."""
 
     def __init__(self, structured: StructuredLoop) -> None:
         self.structured, self.units = structured, structured.units
         self.last = np.zeros(structured.errors)
 
     def scales(self, omega: float, enough: float = 0.0) -> tuple[float, Array]:
-        """Returns the bound of the best scales at a frequency, and these scales; see `best_scales`."""
+        """Returns the bound with the best scales at a frequency, and these scales; see `best_scales`."""
         k = self.structured.errors
         M = self.structured.at(np.array([omega]))[0]
         M[-k:] *= self.units[:, None]
@@ -155,14 +157,14 @@ class _Search:
 
     @property
     def first(self) -> list[float]:
-        """The frequencies of the grid where the loop in its units is highest [rad/s], local peaks and 0."""
+        """Frequencies [rad/s] from which the search for the highest peak starts: 0, and the largest peaks on the grid."""
         grid = self.structured.grid
         gains = Gain(self.structured.scaled(self.units)).at(grid)
         inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
         return [0.0, *grid[inner[gains[inner].argsort()[-REFINED_PEAKS:]]].tolist()]
 
     def climb(self, omega: float) -> tuple[float, float]:
-        """Returns a local peak of the best scales near a frequency, and its frequency [rad/s]."""
+        """Returns a local peak of the bound with the best scales near a frequency, and its frequency [rad/s]."""
         best, width = (self.scales(omega)[0], omega), WIDEST
         while omega > 0 and width > NARROWEST:
             near = [best[1] * (1 - width), best[1] * (1 + width)]

@@ -1,10 +1,11 @@
-"""A loop whose readings and forces have errors that are weighted by frequency: M, from [w; p] to [z; q].
+"""Loop with frequency-weighted uncertainties of its measurements and forces, as a system M from [w; p] to [z; q].
 
-A force acts as u (1 + W Delta), and a reading as y (1 + W Delta), each with its own weight W and its own Delta, which is any
-stable linear system of norm at most one (Zhou, Doyle, Glover 1996, Robust and Optimal Control, sections 9.1 and 11.2). Cut at the
-Deltas, the loop has the inputs p = Delta q beside w, and the outputs q = W u or W y beside z.
+A force acts as u (1 + W Delta), and a measurement is received as y (1 + W Delta). Each has its own weight W and its own Delta.
+A Delta is any stable linear system with a norm of at most one (Zhou, Doyle, Glover 1996, Robust and Optimal Control, sections
+9.1 and 11.2). Opened at the Deltas, the loop has the additional inputs p = Delta q, and the additional outputs q = W u or W y.
 
-The output z weighs the requested forces u, without their errors. A reading that contains a force contains the acting one.
+The output z weights the requested forces u, without their errors. A measurement that contains a force contains the force with
+its error.
 """
 
 from collections.abc import Sequence
@@ -19,16 +20,16 @@ from synth.plant.augmented import append, closed_by, gain, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ROUNDS = 50  # of balancing; each halves the distance, in logarithms
-COARSE = 120  # frequencies at which the sizes of M's entries are compared
+ROUNDS = 50  # iterations of balancing; each halves the remaining distance of the logarithms
+COARSE = 120  # number of frequencies at which the magnitudes of M's entries are compared
 
 
 @dataclass(frozen=True, eq=False)
 class StructuredLoop:
-    """A loop M with k errors, of which the last k inputs are p and the last k outputs are q.
+    """Loop M with k errors. The last k inputs of the loop are p, and the last k outputs are q.
 
     Attributes:
-        loop: system from [w; p] to [z; q], shape (d + k, r + k); from p to q alone if there is no performance.
+        loop: system from [w; p] to [z; q], shape (d + k, r + k); only from p to q if there is no performance block.
         errors: number k of errors.
     """
 
@@ -37,21 +38,21 @@ class StructuredLoop:
 
     @property
     def of_errors(self) -> "StructuredLoop":
-        """The loop from p to q alone, which decides stability."""
+        """Loop from p to q only, which determines stability."""
         M, k = self.loop, self.errors
         return StructuredLoop(Plant.without_inputs(M.A, M.Bw[:, -k:], M.C[-k:], M.Dw[-k:, -k:]), k)
 
     @property
     def performance(self) -> bool:
-        """True if there is a performance block, from w to z."""
+        """True if there is a performance block from w to z."""
         return len(self.loop.C) > self.errors
 
     def at(self, omega: Array) -> Array:
-        """Returns M(j omega), complex, shape (F, d + k, r + k), for finite frequencies [rad/s] of shape (F,)."""
+        """Returns M(j omega), complex, shape (F, d + k, r + k), at finite frequencies [rad/s], shape (F,)."""
         return self.loop.frequency_response(omega)
 
     def scaled(self, scales: Array) -> Plant:
-        """Returns D M D^-1, where D scales each q, and D^-1 each p, by positive scales of shape (k,)."""
+        """Returns D M D^-1 for positive scales of shape (k,). D scales each q, and D^-1 scales each p."""
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
         C[-k:] *= scales[:, None]
@@ -62,7 +63,7 @@ class StructuredLoop:
 
     @cached_property
     def units(self) -> Array:
-        """Scales that make the entries of M similar, over all frequencies, shape (k,)."""
+        """Scales that give the entries of M similar magnitudes over all frequencies, shape (k,)."""
         T = np.abs(self.at(self.grid))
         k = self.errors
         blocks = np.zeros((k + 1, k + 1))
@@ -89,7 +90,7 @@ class StructuredLoop:
 
 @dataclass(frozen=True, eq=False)
 class StructuredPlant:
-    """A plant from [w; p; u] to [z; q; y] with k weighted errors.
+    """Plant from [w; p; u] to [z; q; y] with k weighted errors.
 
     Attributes:
         plant: n states, m inputs, r + k disturbances, d + k controlled outputs and q measurements.
@@ -100,7 +101,7 @@ class StructuredPlant:
     errors: int
 
     def closed_by(self, law: LinearLaw) -> StructuredLoop:
-        """Returns the loop of a continuous law on y.
+        """Returns the loop of the plant with a continuous law on y.
 
         Raises:
             InputError: the loop through the measurements has no solution.
@@ -113,17 +114,17 @@ def plant_with_errors(
     of_errors: tuple[Array, Array],
     weights: tuple[Sequence[StateSpace | None], Sequence[StateSpace | None]],
 ) -> StructuredPlant:
-    """Returns a plant with weighted errors of its forces and readings.
+    """Returns the plant with weighted errors of its forces and measurements.
 
     Args:
         plant: plant in continuous time with n states, m inputs, r disturbances, d controlled outputs and q measurements.
-        of_errors: the columns of state and z of a force that is added to what is requested, shapes (n, m), (d, m).
-        weights: weight of each force and of each measurement; None for one without an error.
+        of_errors: effect of an additional force on the states and on z, shapes (n, m) and (d, m).
+        weights: weight of each force and of each measurement; None if it has no error.
     """
     (q, n), (d, m), r = plant.Cy.shape, plant.D.shape, plant.Bw.shape[1]
     forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)
     k = len(forces) + len(readings)
-    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # with the acting forces
+    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # includes the errors of the forces
     wide = Plant(
         A=plant.A,
         B=plant.B,

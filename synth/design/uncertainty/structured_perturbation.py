@@ -1,10 +1,10 @@
-"""Errors that are nearly the worst of a structured loop: from a power iteration at one frequency, and verified on the loop.
+"""Nearly worst errors of a loop with structured errors, from a power iteration at one frequency, verified on the loop.
 
-At one frequency the structured singular value is the largest spectral radius of Q M, with unitary Q of the structure (Doyle
-1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value, CDC) climbs there,
-and any Q whatever gives a lower bound. A phase of an error at a frequency is that of a stable all-pass of first order, so the
-errors become linear systems of one size. What is returned is true of the loop closed by them: an infinite norm, if they make it
-unstable, or the norm that they lead to.
+At one frequency, the structured singular value is the largest spectral radius of Q M over all unitary Q with the structure of
+the errors (Doyle 1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value,
+CDC) searches for this Q. Any Q gives a lower bound. A stable first-order all-pass can have the phase of an error at this
+frequency, so the errors become linear systems of equal norm. The result is true for the loop with these errors: an infinite
+norm if they make it unstable, otherwise the norm of this loop.
 """
 
 from collections.abc import Sequence
@@ -21,26 +21,26 @@ from synth.plant.augmented import append
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-EQUALITY_TOLERANCE = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
+EQUALITY_TOLERANCE = 1e-9  # relative; a norm within this distance of the inverse size of its errors is equal to it
 STARTS, ITERATIONS = 12, 80
-SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies instead of 0 and infinity, where an error has no phase
+SLOW, FAST = 1e-4, 1e4  # relative to the poles: frequencies that replace 0 and infinity, where an error has no phase
 BEYOND = (
     0.0,
     1e-9,
     1e-7,
     1e-5,
     1e-3,
-)  # relative; errors larger by so much are tried, as a pole lies on the axis but for rounding
+)  # relative; by how much the errors are enlarged, because rounding may keep a pole off the imaginary axis
 
 
 @dataclass(frozen=True, eq=False)
 class WorstErrors:
-    """Errors that show how large the structured singular value is at least.
+    """Errors that give a lower bound on the structured singular value.
 
     Attributes:
-        mu: lower bound.
-        frequency: frequency at which the value is attained [rad/s].
-        errors: the errors Delta, stable, each of norm 1 / mu at most.
+        mu: lower bound on the structured singular value.
+        frequency: frequency at which this value is attained [rad/s].
+        errors: stable errors Delta, each with a norm of at most 1 / mu.
     """
 
     mu: float
@@ -49,11 +49,11 @@ class WorstErrors:
 
 
 def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
-    """Returns the worst errors found at a frequency, verified on the loop; with mu 0 if none are.
+    """Returns the worst errors found at a frequency, verified on the loop; mu is 0 if none are found.
 
     Args:
-        structured: stable without errors.
-        omega: the frequency, such as that of the peak of an upper bound [rad/s].
+        structured: loop that is stable without errors.
+        omega: frequency [rad/s], for example of the peak of an upper bound.
     """
     size = np.abs(np.linalg.eigvals(structured.loop.A))
     omega = float(np.clip(omega, SLOW * size.min(initial=1.0), FAST * size.max(initial=1.0)))
@@ -71,11 +71,11 @@ def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
 
 
 def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
-    """Returns the largest spectral radius found of Q M, and the errors of modulus 1 that lead to it, shape (k,).
+    """Returns the largest spectral radius of Q M that is found, and its errors of modulus 1, shape (k,).
 
     Args:
         M: matrix, complex, shape (d + k, r + k).
-        errors: k.
+        errors: number k of errors.
     """
     k = errors
     outputs = _blocks(M.shape[0], k)
@@ -105,7 +105,10 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
 
 
 def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -> Plant | None:
-    """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
+    """Returns the loop with given errors; None if it is not well-posed.
+
+    The loop is from w to z or, without a performance block, from p to q.
+    """
     M, k, E = structured.loop, structured.errors, append(*errors)
     into, out = M.Bw[:, -k:], M.C[-k:]
     inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
@@ -126,7 +129,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
-    """Returns the norm of a closed loop, infinite if it is not stable; 0, which claims nothing, if that is not known."""
+    """Returns the norm of a loop; infinite if it is not stable, and 0 if nothing is known."""
     if closed is None:
         return 0.0
     if not is_stable(closed.A):
@@ -135,7 +138,7 @@ def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
 
 
 def _blocks(size: int, k: int) -> list[slice]:
-    """Returns the block of the performance, if there is one, and those of the errors."""
+    """Returns the block of the performance, if present, and the blocks of the errors, as slices."""
     return [*([slice(0, size - k)] if size > k else []), *(slice(size - k + i, size - k + i + 1) for i in range(k))]
 
 
@@ -144,7 +147,10 @@ def _size(part: Array) -> Array:
 
 
 def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a: Array, b: Array) -> tuple[float, Array]:
-    """Returns the spectral radius of Q M with the Q that takes a to b, and its errors, turned so that it is an eigenvalue."""
+    """Returns the spectral radius of Q M for the Q that maps a to b, and its errors.
+
+    The errors are rotated so that the spectral radius is an eigenvalue.
+    """
     Q = np.zeros((M.shape[1], M.shape[0]), dtype=complex)
     for out, into in zip(outputs, inputs, strict=True):
         from_, to = a[out], b[into]
@@ -158,9 +164,9 @@ def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a:
 
 
 def _all_pass(amount: float, angle: float, omega: float) -> StateSpace:
-    """Returns a stable error of a constant gain that has a phase [rad] at a frequency."""
+    """Returns a stable error with constant gain and a given phase [rad] at a frequency."""
     sign = 1.0 if angle >= 0 else -1.0
-    phase = angle if angle >= 0 else angle + np.pi  # of (s - c) / (s + c), from pi at 0 rad/s to 0 at infinity
+    phase = angle if angle >= 0 else angle + np.pi  # phase of (s - c) / (s + c), from pi at 0 rad/s to 0 at infinity
     if min(phase, np.pi - phase) < 1e-12:
         constant = sign * (1.0 if phase < np.pi / 2 else -1.0)
         return StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))

@@ -1,12 +1,13 @@
-"""The worst norm of a law with errors of measurements and forces: the largest norm found, and a bound on the whole box.
+"""Worst norm of a law with errors of measurements and forces: the largest norm found, and a bound for the whole box.
 
-The X of the bound is found by Newton's method on a barrier:
+The X of the bound is found with Newton's method on a barrier function:
 
     minimise t   so that   (20) of every loop  <=  t I,   X > 0,
 
-in coordinates in which a first X is I; once t is below zero, X will do. Few corners decide: those at which an X fails join the
-ones that it is found for, and others need not. Where no X is found, the box falls into parts, each with its own. Multipliers
-(`multipliers.py`) follow if that proves nothing close: one X for all errors is conservative for constant ones.
+In the coordinates of this problem, the first X is I. If t is below zero, X proves the bound. Few corners of the box determine
+the bound. The search starts from some corners, and adds those at which the current X violates (20). If no X is found, the box
+is divided into parts, each with its own X. If this proves no close bound, multipliers (`multipliers.py`) follow, because a
+common X is conservative for constant errors.
 """
 
 from collections.abc import Callable
@@ -30,19 +31,20 @@ from synth.lmi.stacked_barrier import StackedBarrier
 from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics
 
-ALL = 8  # free factors up to which every corner is looked at; of more, those that flips lead to
-BEGIN = 4  # corners at which flips begin beside the one that slopes lead to
-REFINED_POINTS = 2  # of the highest points met, those from which the search inside begins
-TURNS = 30  # of one such search
+ALL = 8  # number of free factors up to which every corner is tried; with more, a vertex search
+# number of random corners from which the vertex search starts, in addition to the one in the direction of the gradient
+BEGIN = 4
+REFINED_POINTS = 2  # number of the highest points from which the search inside the box starts
+TURNS = 30  # iterations of each of these searches
 SEED = 20261122
 
 
 class WorstCaseNormFunction:
-    """The norm as a function of the factors of a gain, with the largest value found.
+    """Norm as a function of the factors of a gain. The object stores the largest value found.
 
     Attributes:
-        highest: the largest norm so far; infinite once a loop was unstable.
-        at: factors on the parameters.
+        highest: largest norm found so far; infinite if a loop was unstable.
+        at: factors at this norm, shape (q + m,).
     """
 
     def __init__(self, gain: ScaledGain) -> None:
@@ -52,7 +54,10 @@ class WorstCaseNormFunction:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def exceeds(self, factors: Array, level: float) -> bool:
-        """Returns True if the norm exceeds a level, or, for an infinite level, if the loop is unstable; stores nothing."""
+        """Returns True if the norm exceeds a level. For an infinite level, returns True if the loop is unstable.
+
+        Nothing is stored.
+        """
         try:
             point = self.landscape.point(self.gain.acting(factors))
         except np.linalg.LinAlgError:
@@ -62,7 +67,7 @@ class WorstCaseNormFunction:
         return self.landscape.norm(point, level)[0] > level
 
     def norm(self, factors: Array) -> float:
-        """The norm under factors, shape (q + m,); infinite where the loop is unstable, or has no answer."""
+        """Returns the norm with given factors, shape (q + m,); infinite if the loop is unstable or not well-posed."""
         return self._peak(factors)[0]
 
     def _peak(self, factors: Array) -> tuple[float, float]:
@@ -77,7 +82,7 @@ class WorstCaseNormFunction:
         return self._known[key]
 
     def slope(self, factors: Array) -> Array:
-        """Returns the gradient of a finite norm by the factors, shape (q + m,)."""
+        """Returns the gradient of a finite norm with respect to the factors, shape (q + m,)."""
         gain, landscape = self.gain, self.landscape
         K, q = gain.acting(factors), gain.K.shape[1]
         by_acting = landscape.slope(landscape.point(K), self._peak(factors)[1]).reshape(K.shape) / landscape.scale
@@ -87,7 +92,7 @@ class WorstCaseNormFunction:
 
 
 def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
-    """Looks for the largest norm in a box; `heights` remembers it. It ends where a loop is unstable."""
+    """Searches for the largest norm in a box, which `heights` stores. The search ends if a loop is unstable."""
     free = box.uncertain
     points = box.vertices if len(free) <= ALL else vertex_search(heights, box)
     points = np.concatenate([points, box.middle[None]])
@@ -103,7 +108,10 @@ def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
 
 
 def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
-    """Corners that no flip of one factor makes higher, or the middle of the box where its loop is unstable, shape (k, q + m)."""
+    """Returns corners at which no change of a single factor raises the norm, shape (k, q + m).
+
+    If the loop in the middle of the box is unstable, the result is the middle.
+    """
     free, middle = box.uncertain, box.middle
     if not np.isfinite(heights.norm(middle)):
         return middle[None]
@@ -123,7 +131,7 @@ def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
 
 
 def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
-    """Up from a point as far as the box reaches."""
+    """Increases the norm from a point, within the box."""
     free = box.uncertain
     middle, half = box.middle, (box.high - box.low)[free] / 2
 
@@ -136,13 +144,13 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
         factors = point(t)
         value = heights.norm(factors)
         if not np.isfinite(value):
-            raise StopIteration  # nothing is higher
+            raise StopIteration  # the norm is infinite, so none is higher
         return -np.log(value), -heights.slope(factors)[free] * half / value
 
     t = (start - middle)[free] / half
     slope = down(t)[1]
     if np.all(np.where(t >= 1, slope <= 0, True) & np.where(t <= -1, slope >= 0, True) & (np.abs(t) >= 1)):
-        return  # a corner, and all ways into the box lead down
+        return  # a corner from which the norm decreases in all directions into the box
     try:
         optimize.minimize(down, t, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * len(free), options={"maxiter": TURNS})
     except StopIteration:
@@ -150,7 +158,7 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
 
 
 def norm_at(gain: ScaledGain, factors: Array) -> float:
-    """The norm under factors by two routes, infinite where the loop is unstable or has no answer."""
+    """Returns the norm with given factors by two methods; infinite if the loop is unstable or not well-posed."""
     try:
         loop = gain.loop(factors)
     except np.linalg.LinAlgError:
@@ -158,25 +166,25 @@ def norm_at(gain: ScaledGain, factors: Array) -> float:
     return hinf_norm(loop).value
 
 
-JOIN = 4  # corners that join in a round
+JOIN = 4  # number of corners that are added per round
 
 
 def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | None:
-    """Returns an X that satisfies (20) at all corners of a box, shape (n, n); None if it is infeasible, or nearly.
+    """Returns an X that fulfils (20) at all corners of a box, shape (n, n); None if (20) is infeasible, or nearly so.
 
     Args:
         box: box with at most `MOST` free factors (`uncertainty_box.py`).
-        start: X > 0 to start from, as near as is known, shape (n, n).
+        start: estimate of X > 0 from which the search starts, shape (n, n).
         eta: gamma^-2.
 
     Raises:
-        LinAlgError: rounding leaves no answer.
+        LinAlgError: rounding prevents a solution.
     """
     everywhere, X = gain.loops(box.vertices), start
     among = np.zeros(0, dtype=int)
     while True:
         highest = _highest(everywhere, X, eta)
-        # The first X is on the verge wherever it does: rounding would leave no proof.
+        # The first X includes all corners at which it is optimal, because rounding could otherwise prevent the proof.
         failing = np.setdiff1d(np.flatnonzero(highest >= 0), among) if len(among) else np.arange(len(highest))
         if not len(failing):
             return X if highest.max() < 0 else None
@@ -188,7 +196,7 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
 
 
 def _highest(loops: Array, X: Array, eta: float) -> Array:
-    """The largest eigenvalue of (20) of each loop, in coordinates in which X is I, shape (V,)."""
+    """Returns the largest eigenvalue of (20) for each loop, in coordinates in which X is I, shape (V,)."""
     n = len(X)
     inverse = np.eye(loops.shape[-2])
     inverse[:n, :n] = np.linalg.inv(np.linalg.cholesky(X))
@@ -196,7 +204,7 @@ def _highest(loops: Array, X: Array, eta: float) -> Array:
 
 
 def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
-    """Returns an X that satisfies (20) of every loop, or None."""
+    """Returns an X that fulfils (20) for every loop; None if it is not found."""
     T = np.linalg.cholesky(start)
     n, k = len(T), loops.shape[-2]
     own = loops.copy()
@@ -210,29 +218,30 @@ def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
     return (X + X.T) / 2 if p[-1] < 0 else None
 
 
-CLOSEST = 1e-4  # relative; how far above the largest norm met a bound is tried, and no closer
-CLOSER = (1e-2, 1e-3, CLOSEST)  # likewise in turn, where the box has to fall into parts for it
-LOOSE = (0.1, 1.0, 10.0)  # where the first of these fails, and multipliers, too
-TIGHT = 1e-3  # a bound so close needs no multipliers
-TRIALS = 600  # over the square of the number of states: how often an X is looked for at most
-FEWEST = 4  # of them at least
-MANY = 6  # errors; with more an X costs more than multipliers
-PATIENT, CHEAPLY = 4.0, 1 / 3  # times the trials: for a bound that is asked about, and for one of many
-SPARE = 1e-2  # of how far a bound is above a norm: what of it the first X leaves unused
-FAR = 1e4  # times a norm: a bound of loops that need only be stable
-EVERYWHERE = 1e-4  # of the disturbance's power: what disturbs states for the first X that w does not reach
+CLOSEST = 1e-4  # relative; smallest distance of a bound above the largest norm found
+CLOSER = (1e-2, 1e-3, CLOSEST)  # relative; distances that are tried in turn if the box must be divided for them
+LOOSE = (0.1, 1.0, 10.0)  # relative; distances that are tried if the first of these and multipliers fail
+TIGHT = 1e-3  # relative; a bound this close needs no multipliers
+TRIALS = 600  # largest number of attempts to find an X, times the square of the number of states
+FEWEST = 4  # smallest number of attempts
+MANY = 6  # number of errors above which an X takes more time than multipliers
+# multiples of the number of attempts: for a bound that the user requests, and for one of many bounds
+PATIENT, CHEAPLY = 4.0, 1 / 3
+SPARE = 1e-2  # share of the distance between bound and norm that the first X leaves unused
+FAR = 1e4  # multiple of a norm; bound for loops that need only be stable
+EVERYWHERE = 1e-4  # power of an additional disturbance of all states for the first X, relative to that of w
 
-Parts = list[tuple[Box, Array | None]]  # of a box, each with an X of (20) if one is known
+Parts = list[tuple[Box, Array | None]]  # parts of a box, each with an X of (20) if one is known
 Proof = BoxProof | MultiplierProof
 
 
 def _trials(heights: WorstCaseNormFunction) -> int:
-    """Returns the largest number of attempts to find X for one bound."""
+    """Returns the largest number of attempts to find an X for one bound."""
     return max(FEWEST, TRIALS // len(heights.gain.plant.A) ** 2)
 
 
 def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
-    """Proves a bound on a box just above the largest norm found; stores larger norms found on the way."""
+    """Proves a bound for a box just above the largest norm found. Larger norms found in the process are stored."""
 
     def tried(above: float, parts: Parts, left: int) -> tuple[Parts | None, int]:
         return _prove_parts(heights, parts, lambda: heights.highest * (1 + above), left)
@@ -257,11 +266,14 @@ def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
 
 
 def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience: float = CHEAPLY) -> Proof | None:
-    """Returns the proof of a given bound, by an X for each part of the box or by multipliers; stores larger norms on the way.
+    """Proves a given bound, with an X for each part of the box or with multipliers. Larger norms found are stored.
 
     Args:
-        patience: number of attempts to find an X, relative to the usual number; one for many errors. If it is below 1, the search
-            for many errors tries multipliers first.
+        patience: multiple of the usual number of attempts to find an X; with many errors there is one attempt. If it is below
+            1, multipliers are tried first if there are many errors.
+
+    Returns:
+        The proof; None if no proof is found.
     """
     many = len(box.uncertain) > MANY
 
@@ -276,7 +288,7 @@ def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience
 
 
 def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> Proof | None:
-    """Returns a proof that the loop is stable for all errors, or None if none is found; arguments as for `worst_norm`."""
+    """Returns a proof that the loop is stable for all errors; None if none is found. Arguments as for `worst_norm`."""
     gain = scaled_gain(replace(plant, Dyw=None), K)
     box, heights = box_of(gain, d, e), WorstCaseNormFunction(gain)
     if not np.isfinite(norm := heights.norm(box.middle)):
@@ -289,10 +301,10 @@ def _proof(parts: Parts, bound: float) -> BoxProof:
 
 
 def _prove_parts(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
-    """Parts with an X each that proves a bound; None if no such parts were found within the trials.
+    """Divides a box into parts, each with an X that proves a bound.
 
     Returns:
-        The parts, and how often an X may still be looked for.
+        The parts, and the number of remaining attempts to find an X. The parts are None if no such parts were found.
     """
     todo, done = list(parts), Parts()
     if any(len(part.uncertain) > MOST for part, _ in parts):
@@ -316,7 +328,7 @@ def _prove_parts(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[
 
 
 def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None:
-    """Returns an X that proves a bound on a box, or None if no X is found."""
+    """Returns an X that proves a bound for a box; None if no X is found."""
     gain, level = heights.gain, eta**-0.5
     norm = heights.norm(box.middle)
     if not norm < level or not gain.well_posed(box):
@@ -324,13 +336,13 @@ def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None
     try:
         start = bounding_x(gain.loop(box.middle), level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
         X = common_x(gain, box, start, eta)
-    except (np.linalg.LinAlgError, ValueError):  # too close to the norm for floats
+    except (np.linalg.LinAlgError, ValueError):  # the bound is too close to the norm for floating point
         return None
     return X if X is not None and proves(gain, box, X, eta) else None
 
 
 def _axis(heights: WorstCaseNormFunction, box: Box) -> int:
-    """The factor along which the norm changes most from the middle of a box to its faces."""
+    """Returns the index of the factor along which the norm changes most from the middle of the box to its faces."""
     middle = heights.norm(box.middle)
     changes = []
     for axis in box.uncertain:
@@ -345,14 +357,14 @@ def _axis(heights: WorstCaseNormFunction, box: Box) -> int:
 
 @dataclass(frozen=True, eq=False)
 class WorstNorm:
-    """The worst norm over a box of errors.
+    """Worst norm over a box of errors.
 
     Attributes:
         found: largest norm found; infinite if a loop in the box is unstable.
-        readings: relative errors of the measurements at that norm, shape (q,).
-        forces: relative errors of the forces at that norm, shape (m,).
-        proved: upper bound on all norms in the box, stability included; infinite if not proved.
-        proof: proof of that bound, by a common X or by multipliers; None if it is not proved.
+        readings: relative errors of the measurements at this norm, shape (q,).
+        forces: relative errors of the forces at this norm, shape (m,).
+        proved: proved upper bound on all norms in the box, including stability; infinite if nothing is proved.
+        proof: proof of this bound, by a common X or by multipliers; None if nothing is proved.
     """
 
     found: float
@@ -363,12 +375,12 @@ class WorstNorm:
 
     @property
     def gap(self) -> float:
-        """Relative distance of the proved bound from the norm found; infinite if nothing is proved."""
+        """Relative distance of the proved bound from the largest norm found; infinite if nothing is proved."""
         return self.proved / self.found - 1 if np.isfinite(self.proved) and self.found else np.inf
 
     @property
     def unstable(self) -> bool:
-        """True if a loop in the box is unstable: the one with these errors."""
+        """True if a loop in the box is unstable. The attributes `readings` and `forces` are its errors."""
         return bool(np.isinf(self.found))
 
 
@@ -383,23 +395,26 @@ def worst_norm(
     through: Array | None = None,
     enough: Positive | None = None,
 ) -> WorstNorm:
-    """Returns the worst norm if each measurement is off by up to +-d and each force by up to +-e, relative, separately.
+    """Finds and bounds the worst H-infinity norm if every measurement and every force has a relative gain error.
 
-    K_ij becomes K_ij (1 + a_j) (1 + b_i) with |a_j| <= d_j, |b_i| <= e_i.
+    K_ij becomes K_ij (1 + a_j) (1 + b_i) for all errors |a_j| <= d_j and |b_i| <= e_i, which are independent of each other.
 
     Args:
-        plant: n states, m inputs; continuous or discrete.
-        Cy: shape (q, n); None for the plant's own measurements.
-        K: the gain, shape (m, q); or a law with states, which then stands between two diagonal scalings.
-        d: error for all measurements, or an error for each, shape (q,).
-        e: error for all forces, or an error for each, shape (m,).
-        Dyw: shape (q, r); zero where it is not given.
-        through: feedthrough from the forces to the measurements, shape (q, m); zero if it is not given.
-        enough: a bound that is asked about, which is tried by itself where no closer one is proved below it.
+        plant: generalised plant with n states and m inputs; continuous or discrete.
+        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces then have the errors.
+        d: largest error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
+        e: largest error of all forces, or of each force, shape (m,).
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
+        enough: a bound to prove separately if no bound at most this large is proved otherwise; None for no such bound.
+
+    Returns:
+        The largest norm found, its errors, and the proved bound.
 
     Raises:
-        InputError: a matrix has the wrong shape or entries that are not finite, or a tolerance lies outside of 0 to 1.
-        DesignError: rounding leaves no answer.
+        InputError: a matrix has the wrong shape or entries that are not finite, or an error is not from 0 to 1.
+        DesignError: rounding prevents a solution.
 
     Example:
         >>> from synth import GeneralizedPlant, worst_norm
@@ -418,7 +433,7 @@ def worst_norm(
 
 
 def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
-    """The worst norm over a box of factors; arguments as for `worst_norm`."""
+    """Returns the worst norm over a box of factors. Arguments as for `worst_norm`."""
     heights = WorstCaseNormFunction(gain)
     local_maximum(heights, box)
     proof = search_bound(heights, box)
