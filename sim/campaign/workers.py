@@ -95,9 +95,8 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchRes
     try:
         while True:
             most = max(1, int(ray.cluster_resources().get("CPU", 1))) * AHEAD
-            for start, end in itertools.islice(
-                batches, max(0, most - len(running))
-            ):  # 0, because a node may have left the cluster
+            # The maximum is needed because `most` decreases if a node leaves the cluster.
+            for start, end in itertools.islice(batches, max(0, most - len(running))):
                 running[remote.remote(shared, start, end)] = start
             if not running:
                 return
