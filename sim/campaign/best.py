@@ -171,8 +171,8 @@ def _check_save(campaign: Campaign, path: Path) -> None:
     """Checks that `--save` is possible.
 
     Raises:
-        InputError: the campaign has several vehicles, the name of a saved controller exists already, or the saved file could not
-            be read.
+        InputError: the campaign has several vehicles, the name of a saved controller exists already, or the saved file could
+            not be read.
     """
     if len(campaign.vehicles) > 1:
         raise InputError(f"--save needs a campaign with one vehicle, not {len(campaign.vehicles)}; omit --save, or list one")

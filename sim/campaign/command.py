@@ -156,7 +156,7 @@ def _read(options: argparse.Namespace) -> Campaign:
             isinstance(road.road, Profile | Surface)
             and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts
         ):
-            after = "it is straight from there on, which lowers every rms"
+            after = "the straight road after its last point lowers every rms value"
             complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
@@ -199,7 +199,8 @@ def _merge(campaign: Campaign, folder: Path) -> None:
     """Writes the results and the plan of the whole campaign from its parts, unless both files exist already.
 
     Raises:
-        InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the packages.
+        InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the
+            packages.
     """
     if (folder / RESULTS).exists() and (folder / NAME).exists():  # merged before, but removing the parts was interrupted
         return

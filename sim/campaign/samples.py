@@ -66,13 +66,14 @@ class Sampler:
         Args:
             where: section of the table and name of the vehicle, for messages.
             table: distributions by name.
-            own: values in the vehicle file of all parameters that can be sampled; None for a parameter without a value. Relative
-                distributions are multiples of these values.
+            own: values in the vehicle file of all parameters that can be sampled; None for a parameter without a value.
+                Relative distributions are multiples of these values.
             check: function that raises InputError if a value is not allowed.
             units: units of the parameters that have one.
 
         Raises:
-            InputError: the table contains an unknown name or an invalid distribution, or a distribution reaches an invalid value.
+            InputError: the table contains an unknown name or an invalid distribution, or a distribution reaches an invalid
+                value.
         """
         quantiles: dict[str, Callable[[Array], Array]] = {}
         scales: dict[str, float] = {}

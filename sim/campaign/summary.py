@@ -338,8 +338,8 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
     """Returns the expected dynamic load and ride of a vehicle at a speed.
 
-    Both results are empty if the road is not random, the parameters of the vehicle are sampled, or the vehicle has no semi-active
-    dampers.
+    Both results are empty if the road is not random, the parameters of the vehicle are sampled, or the vehicle has no
+    semi-active dampers.
 
     Args:
         plan: runs of the campaign.
@@ -348,8 +348,8 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
         speed: speed of the vehicle [m/s].
 
     Returns:
-        Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name, as if
-        ideal actuators applied every requested force; controllers with a sampled law are omitted.
+        Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name, as
+        if ideal actuators applied every requested force; controllers with a sampled law are omitted.
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)

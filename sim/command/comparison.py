@@ -252,8 +252,8 @@ def run_named(
 def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
     """Returns the printed lines about runs, above the table that compares the controllers.
 
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the reasons
-    why a run fails or diverges.
+    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
+    reasons why a run fails or diverges.
 
     Args:
         runs: runs of one or more controllers.

@@ -173,7 +173,7 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
             "with order 2."
         )
     caption = (
-        "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds what is allowed, and orders."
+        "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds allowed distances and orders."
     )
     table = Table.of("agreement", caption, columns, pairs, words=2, pivot=Pivot(("signal",), "controller", ("to sampled",)))
     return Document(f"Agreement with {reference.partition(' with')[0]}", (*notes(*texts), table, energy_table(runs, scope.where)))

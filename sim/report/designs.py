@@ -137,7 +137,7 @@ def paper_section(scope: Subject, progress: Progress) -> Document:
         numbers = f"{row.value:.{decimals}f}", f"{mine:.{decimals + 2}f}"
         rows.append((row.equation, f"{row.quantity}{entry}", "same" if same else row.reason, *numbers))
     headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
-    caption = "Every number that the paper prints of its designs, and ours to two digits more."
+    caption = "All numbers of the designs in the paper, and the same numbers computed here, with two more digits."
     texts = [
         "Remark 4: with L = 0 and the states (30), (25) has no solution. With the car's absolute motion as states and the road's "
         "height as w, as in [33], it has one for `I`, whose gain grows without bound near the optimum, and none for `II`."

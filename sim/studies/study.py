@@ -1,7 +1,7 @@
 """Interface of a study, which defines a computation and how its result is shown.
 
-A row in `models.common.extensions` makes a study a command and a part of the report. The module of a study imports others inside
-its methods, so that help pages appear without delay.
+A row in `models.common.extensions` makes a study a command and a part of the report. The module of a study imports others
+inside its methods, so that help pages appear without delay.
 """
 
 from argparse import Namespace

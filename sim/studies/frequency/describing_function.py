@@ -1,8 +1,8 @@
 """Describing function of a loop with a law in Python: its response to one sinusoid at a time, measured in MuJoCo.
 
-The law may be nonlinear, so a chirp would mix the responses at different frequencies, and no prediction exists. For each output,
-the result contains the fundamental, which has the frequency of the road. The result also contains the share of energy at other
-frequencies, which is due to harmonics, a mean value or transients. The result can depend on the height of the road.
+The law may be nonlinear, so a chirp would mix the responses at different frequencies, and no prediction exists. For each
+output, the result contains the fundamental, which has the frequency of the road. The result also contains the share of energy
+at other frequencies, which is due to harmonics, a mean value or transients. The result can depend on the height of the road.
 """
 
 from collections.abc import Sequence

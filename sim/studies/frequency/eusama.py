@@ -7,9 +7,9 @@ response t / z_r, from the height z_r of the plate to the tyre deflection t:
 
     ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
-MuJoCo simulates each wheel at the worst frequency. The test is disputed, because cars with sound dampers fail if they have stiff
-tyres and light axles: M. Klapka, I. Mazurek and O. Machacek (2016), "Analysis of causes of false-negative evaluation of EUSAMA
-methodology for suspension assessment", Engineering Mechanics 2016, Svratka.
+MuJoCo simulates each wheel at the worst frequency. The test is disputed, because cars with sound dampers fail if they have
+stiff tyres and light axles: M. Klapka, I. Mazurek and O. Machacek (2016), "Analysis of causes of false-negative evaluation of
+EUSAMA methodology for suspension assessment", Engineering Mechanics 2016, Svratka.
 """
 
 import math
@@ -51,8 +51,8 @@ class MinimumLoad:
         omega: frequency of this minimum [rad/s].
         driven: predicted minimum at the nearby frequency of the MuJoCo run; may be negative.
         measured: minimum in the MuJoCo run.
-        allowed: allowed difference between `driven` and `measured`; infinite for vehicles with nonlinear springs or dampers, for
-            which the prediction uses the linearisation.
+        allowed: allowed difference between `driven` and `measured`; infinite for vehicles with nonlinear springs or dampers,
+            for which the prediction uses the linearisation.
         ended: names of the limits that ended the linear regime.
     """
 

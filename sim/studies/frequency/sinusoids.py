@@ -93,8 +93,8 @@ class PeriodicRun:
         """Returns the complex amplitude of each line, shape (F,), by name of the signal. The controller must be linear.
 
         Args:
-            with_images: True to fit also the images of the lines, see `images`. Images are orthogonal to the lines, so they need
-                not be fitted, if the samples contain whole periods of the road and of the controller's sampling.
+            with_images: True to fit also the images of the lines, see `images`. This is not needed if the samples contain whole
+                periods of the road and of the controller's sampling. Images are then orthogonal to the lines.
         """
         (controller, loop), omega = self._loop, self.on.omega
         response = self.response.samples(slice(-self.on.samples, None))

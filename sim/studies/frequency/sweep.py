@@ -109,7 +109,8 @@ def sweep(
 def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if a measurement contains the road velocity directly.
 
-    The sampled norm averages such a measurement over a sample period, but MuJoCo averages it over a timestep, so the two differ.
+    The sampled norm averages such a measurement over a sample period, but MuJoCo averages it over a timestep, so the two
+    differ.
     """
     model = vehicle.linear_model
     return bool(np.any(model.Dw[[model.outputs.index(name) for name in controller.measured]]))

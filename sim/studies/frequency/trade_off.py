@@ -65,7 +65,7 @@ def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
         together = ", with all wheels on one road, which need not be the worst" if len(vehicle.kind.wheels) > 1 else ""
         texts.append(
             f"MuJoCo reaches {SHARE.digits(shares.min())} to {SHARE.digits(shares.max())} % of the continuous norms on the "
-            f"sinusoid where each norm is reached{together}. In a timestep the sinusoid turns by at most {TURN:g} rad."
+            f"sinusoid where each norm is reached{together}. Its phase advances by at most {TURN:g} rad per timestep."
         )
     return replace(document, blocks=(*document.blocks, *notes(*texts)))
 

@@ -51,9 +51,9 @@ class ComparedNumber:
     def verdict(self) -> str:
         """Verdict of the comparison.
 
-        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the samples of the source does,
-        and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the given reason. `WRONG`: none
-        of these.
+        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the samples of the source
+        does, and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the given reason.
+        `WRONG`: none of these.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)

@@ -127,8 +127,8 @@ class GainMargin:
     def found(self) -> float:
         """Margin found in MuJoCo, extrapolated to a timestep of 0 if finer searches ran.
 
-        The margin is infinite if it grows without limit as the timestep shrinks, because only sampling then limits the gain. The
-        margin is NaN if it still grows at the smallest timestep, although the continuous loop has a larger finite margin.
+        The margin is infinite if it grows without limit as the timestep shrinks, because only sampling then limits the gain.
+        The margin is NaN if it still grows at the smallest timestep, although the continuous loop has a larger finite margin.
         """
         if not self.finer.searched:
             return self.search.found

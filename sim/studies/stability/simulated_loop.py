@@ -46,8 +46,8 @@ class LoopCase:
 class SimulatedLoop:
     """Discrete model of a loop. The delay consists of an integer number of samples and a remaining fraction of a sample.
 
-    The states of `loop` are those of `_held_forces` and those of the law. If the delay has a fraction of a sample, the force that
-    acts at the start of a sample is also a state.
+    The states of `loop` are those of `_held_forces` and those of the law. If the delay has a fraction of a sample, the force
+    that acts at the start of a sample is also a state.
 
     Attributes:
         loop: loop with only the fraction of a sample as delay.

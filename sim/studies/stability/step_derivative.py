@@ -1,7 +1,7 @@
 """Derivative of a MuJoCo step at equilibrium.
 
-The state z contains positions, velocities, internal states of parts, and the forces of actuators with lag. Under the forces u, a
-step changes z to A z + B u. The sensors before the step measure C z + D u, where u are the forces of the previous step.
+The state z contains positions, velocities, internal states of parts, and the forces of actuators with lag. Under the forces u,
+a step changes z to A z + B u. The sensors before the step measure C z + D u, where u are the forces of the previous step.
 """
 
 from functools import lru_cache
@@ -22,8 +22,8 @@ SMOOTH = 1e-3  # allowed relative difference between forward and backward differ
 def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
     """Returns the derivative of a MuJoCo step at equilibrium on a flat road, by central differences.
 
-    The states are positions, velocities, internal states of parts, and the forces of actuators with lag. These force states have
-    the names of the forces. The outputs are the signals of the vehicle.
+    The states are positions, velocities, internal states of parts, and the forces of actuators with lag. These force states
+    have the names of the forces. The outputs are the signals of the vehicle.
 
     Args:
         vehicle: the vehicle.

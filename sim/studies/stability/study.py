@@ -18,7 +18,8 @@ class StabilityMargins:
     Attributes:
         vehicle: vehicle of the vehicle file.
         controller: the controller.
-        loops: margins of the ideal loop by name; "" is the loop cut at all actuators, and a force is the loop cut at this force.
+        loops: margins of the ideal loop by name; "" is the loop cut at all actuators, and a force is the loop cut at this
+            force.
         implemented_loops: margins of the implemented loop by name; empty if it has neither sample period nor delay.
     """
 

@@ -34,8 +34,8 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
     """Returns the axes of one or two values of `--vary`, each in the form `name:low:high:count`.
 
     Raises:
-        InputError: the number of axes is not 1 or 2, the axes are equal, or an axis has an unknown quantity, an invalid number or
-            fewer than two points.
+        InputError: the number of axes is not 1 or 2, the axes are equal, or an axis is invalid: unknown quantity, invalid
+            number, fewer than two points.
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) not in (1, 2):

@@ -34,8 +34,8 @@ class MapRun:
         time: time at which this limit was reached [s]; infinite if no limit was reached.
         broke_off: reason why the run broke off, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it did not.
         error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to its peak.
-        missing: rms of the force that semi-active dampers could not apply, relative to that of the requested force. The value is
-            0 if no force was requested, and NaN without semi-active dampers.
+        missing: rms of the force that semi-active dampers could not apply, relative to that of the requested force. The value
+            is 0 if no force was requested, and NaN without semi-active dampers.
     """
 
     share: float

@@ -1,7 +1,7 @@
 """Comparison of runs with a measured log: alignment in time by correlation, and the fit of each signal.
 
-The fit is 1 - rms(measured - MuJoCo) / rms(measured). It is 1 for equal signals, and 0 if the run has no motion. The signals are
-compared at the sample times of the run or of the log, whichever has the larger sample period.
+The fit is 1 - rms(measured - MuJoCo) / rms(measured). It is 1 for equal signals, and 0 if the run has no motion. The signals
+are compared at the sample times of the run or of the log, whichever has the larger sample period.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -250,11 +250,12 @@ def _score(log: MeasuredLog, run: Response, start: float) -> float:
 def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]]:
     """Finds the time of the log at which a run starts, by the largest correlation of their common signals.
 
-    Log and run are first correlated at a common sample rate. Means are removed. Each signal is scaled by its rms over the run and
-    over the part of the log that the run covers. The start is then refined between the samples.
+    Log and run are first correlated at a common sample rate. Means are removed. Each signal is scaled by its rms over the run
+    and over the part of the log that the run covers. The start is then refined between the samples.
 
     Returns:
-        Time of the log at the start of the run [s], and the names of signals that would correlate better with the opposite sign.
+        Time of the log at the start of the run [s], and the names of signals that would correlate better with the opposite
+        sign.
     """
     from scipy.optimize import minimize_scalar
     from scipy.signal import correlate

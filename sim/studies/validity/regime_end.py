@@ -1,12 +1,12 @@
 """Bump height at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
 
 The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
-bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below this
-height and one slightly above. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the two
-runs do not enclose it, the largest signal of the highest run below the limit determines the next height to try.
+bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below
+this height and one slightly above. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
+two runs do not enclose it, the largest signal of the highest run below the limit determines the next height to try.
 
-With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at any
-height.
+With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at
+any height.
 """
 
 import math
@@ -162,8 +162,8 @@ def _search(
 ) -> Generator[Road, Response, PredictedResponse]:
     """Generator that yields roads, receives their responses by analysis, and returns the prediction.
 
-    A vehicle with linear springs and dampers needs one response. Otherwise, the analysis is nonlinear, and a loop may be unstable
-    above some height. The search then finds the lowest height at which the analysis reaches a limit.
+    A vehicle with linear springs and dampers needs one response. Otherwise, the analysis is nonlinear, and a loop may be
+    unstable above some height. The search then finds the lowest height at which the analysis reaches a limit.
     """
     height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
     while True:

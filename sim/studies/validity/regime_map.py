@@ -1,14 +1,14 @@
 """Map of validity: the range of linear analysis over a grid of bumps, and the first limit that is reached beyond this range.
 
 Until the first limit is reached, the vehicle is linear. The limit and its time therefore follow from the linear response, which
-is proportional to the bump height. One linear response per length and speed predicts the cells of all heights, and the map shows
-these predictions. MuJoCo confirms them in a few random cells, and along the edge of the linear regime. At each length and speed,
-two runs enclose the height of the edge.
+is proportional to the bump height. One linear response per length and speed predicts the cells of all heights, and the map
+shows these predictions. MuJoCo confirms them in a few random cells, and along the edge of the linear regime. At each length and
+speed, two runs enclose the height of the edge.
 
 With semi-active dampers, a linear controller lacks force at any height. The map then shows the share of missing force. Its
 analysis includes these dampers; this response is also proportional to the height. The characteristic of a nonlinear spring or
-damper departs gradually from its linearisation; it counts as a limit if the difference exceeds the share `LEAVES`. Responses with
-such characteristics or with loads are not proportional to the height, so each cell needs its own response.
+damper departs gradually from its linearisation; it counts as a limit if the difference exceeds the share `LEAVES`. Responses
+with such characteristics or with loads are not proportional to the height, so each cell needs its own response.
 """
 
 import math
