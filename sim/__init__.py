@@ -1,23 +1,24 @@
-"""Runs of vehicles: roads, MuJoCo, the linear response, their comparison, logs, and the commands.
+"""Simulations in MuJoCo, their comparison with linear analysis, logs, and the commands.
 
-Public names, imported when they are first used; all units are SI:
+Start with `run`, which drives a controller over a road and returns a `Run`. Each public name is imported when it is first used.
+All units are SI. The public names are:
 
-- runs: `run`, a `Run` for each controller, of whatever kind; `sample_times`, and `Response`, which `to_pandas` and `to_control`
-  export
-- their ride, travel and grip: `measure_run`, and `RunMetrics`
-- measured in MuJoCo, with their predictions: `find_margins`, and `measure_responses`, the frequency responses
-- their logs: `run_log`, and `record`
-- the best controllers for a vehicle and a road: `recommend`, a `Recommendation`
-- own control laws of many runs side by side: `Driver`
+- Simulate: `run` and its result `Run`; `sample_times`; `Response`, the signals of a run, with `to_pandas` and `to_control`.
+- Evaluate a run: `measure_run` returns ride, suspension travel and road holding as `RunMetrics`.
+- Measure in MuJoCo and compare with linear analysis: `find_margins` (stability margins) and `measure_responses` (frequency
+  responses).
+- Record: `run_log` returns the content of a log, and `record` writes the files.
+- Select a controller: `recommend` searches the best controllers for a vehicle and a road, and returns a `Recommendation`.
+- Add a control law in Python: `Driver` is the interface that the simulation loop calls for many runs simultaneously.
 
-Whatever else a module holds may move without notice.
+All other names of these modules can change without notice.
 """
 
 import sys
 
 try:
     from models.common.lazy import attach
-except Exception as error:  # a file or a folder of the user's has the name of a package of ours
+except Exception as error:  # the user has a file or folder with the name of one of Roadproof's packages
     from importlib.util import find_spec
 
     _spec = find_spec("models")

@@ -1,4 +1,4 @@
-"""`roadproof`, or `python -m sim`: the table of commands, with the purpose of each."""
+"""`roadproof`, or `python -m sim`: prints the table of commands and their purposes."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -16,7 +16,7 @@ from models.common.extensions import STUDIES
 from sim.studies.command_name import command_of
 
 OWN = {name: texts for name, texts in STUDIES.texts.items() if texts}
-COMMANDS = (  # name as after `python -m`, its purpose, the options that one reaches for first
+COMMANDS = (  # module name after `python -m`, purpose, most important options
     ("sim.new", "write a commented vehicle file to start from", "--type"),
     ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
     ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),
@@ -37,14 +37,14 @@ examples:
   roadproof bump --help
 """
 PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")  # commands that are a package, not a module
-VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
+VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # subcommand of `roadproof`: module name
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit code. `python -m sim bump` is `roadproof bump`.
+    """Runs the command; returns its exit code. `python -m sim bump` does the same as `roadproof bump`.
 
     Raises:
-        InputError: any option but --help.
+        InputError: the command or an option is unknown.
     """
     words = sys.argv[1:] if arguments is None else arguments
     if arguments is None and words and words[0] in VERBS:
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def table() -> list[str]:
-    """Returns the table of commands: a line for the purpose of each, and one below it for its main options."""
+    """Returns the table of commands. Each command has two lines: its purpose, then its main options."""
     lines = ["Commands, each as `roadproof NAME`:", ""]
     for verb, (_, purpose, options) in zip(VERBS, COMMANDS, strict=True):
         lines += [f"  {verb:10}  {purpose}", f"  {'':10}  {options}"]
@@ -75,7 +75,10 @@ def table() -> list[str]:
 
 
 def roadproof() -> NoReturn:
-    """Runs the installed `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
+    """Runs the installed program `roadproof`.
+
+    `roadproof bump ...` runs `python -m sim.bump ...`. Without a subcommand, `roadproof` runs `python -m sim`.
+    """
     from models.common.cli import run
 
     Parser.by_verb = True

@@ -1,4 +1,4 @@
-"""`python -m sim.bump`: controllers over a bump, in MuJoCo and in linear analysis, compared and logged."""
+"""`python -m sim.bump`: drives controllers over a bump in MuJoCo, compares with linear analysis, and writes logs."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -32,7 +32,7 @@ examples:
 
 
 def parser() -> Parser:
-    """The options."""
+    """Returns the command-line parser."""
     parser = Parser(
         "sim.bump", "Drive over one bump in MuJoCo and in linear analysis, compare the responses, and record them.", EPILOG
     )
@@ -49,7 +49,11 @@ def parser() -> Parser:
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Bump":
-    """Returns the requested bump, if a vehicle can be driven over it at these sample times [s]."""
+    """Returns the requested bump. `time` contains the sample times of the run [s], shape (T,).
+
+    Raises:
+        InputError: the vehicle cannot be driven over this bump.
+    """
     from models.roads.road import Bump
 
     road = Bump(options.height, options.length, options.speed, options.track)
@@ -58,7 +62,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 
 def words(road: "Bump") -> str:
-    """Returns a bump in words."""
+    """Returns a text that describes a bump."""
     wheels = "" if road.track == "both" else f", {road.track} wheels only"
     return f"a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s{wheels}"
 
@@ -67,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, vehicle file or logs folder.
+        InputError: an option, a vehicle file or the logs folder is invalid.
     """
     options = parser().parse_args(arguments)
     from sim.command.driving import drive

@@ -1,4 +1,4 @@
-"""`python -m sim.envelope`: the map of validity, over one or two of a bump's height, length and the speed."""
+"""`python -m sim.envelope`: finds where linear analysis is valid, over one or two of bump height, bump length and speed."""
 
 if __name__ == "__main__":
     from models.common.cli import run

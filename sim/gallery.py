@@ -1,4 +1,4 @@
-"""`python -m sim.gallery`: published numbers next to ours."""
+"""`python -m sim.gallery`: compares published numbers with those that Roadproof computes."""
 
 if __name__ == "__main__":
     from models.common.cli import run

@@ -1,4 +1,4 @@
-"""`python -m sim.new`: writes a commented vehicle file, to be filled in with the numbers of a car."""
+"""`python -m sim.new`: writes a commented vehicle file, in which the user replaces the numbers."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -18,9 +18,9 @@ EPILOG = """
 The file contains the parameters of an ordinary car, limits, sensors with noise, a sample period and a delay, and controllers
 designed for them. A comment on each line explains the value. The command never replaces an existing vehicle file.
 
-With --schema the command also writes TYPE.schema.json to the same folder, and without FILE only this file, to the present folder.
-The first line of the vehicle file names it. With it, editors such as Visual Studio Code (extension Even Better TOML) or Neovim
-(Taplo) complete keys, show their meanings and units, and mark mistakes.
+With --schema the command also writes TYPE.schema.json to the same folder. Without FILE, it writes only this schema, to the
+current folder. The first line of the vehicle file refers to the schema. Editors such as Visual Studio Code (extension Even
+Better TOML) or Neovim (Taplo) then complete keys, show their meanings and units, and mark mistakes.
 
 exit code: 0 the file is written; 2 invalid input
 
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, or the file exists or cannot be written.
+        InputError: an option is invalid, or the file already exists or cannot be written.
     """
     options = parser().parse_args(arguments)
     from models.common.files import read_text, whole_file
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_json(written | {"type": options.type})
         return 0
     if options.schema:
-        print(f"wrote {pasted_path(schema)}; a vehicle file names it in its first line: #:schema ./{schema.name}")
+        print(f"wrote {pasted_path(schema)}; a vehicle file refers to it in its first line: #:schema ./{schema.name}")
     if path is not None:
         name = pasted_path(path)
         print(f"wrote {name}; replace its numbers with those of your car, then run")

@@ -1,4 +1,4 @@
-"""`python -m sim.sweep`: the paper's Fig. 3, measured: frequency responses and the H-infinity norm, in MuJoCo and in analysis."""
+"""`python -m sim.sweep`: measures frequency responses and the H-infinity norm in MuJoCo (Fig. 3 of the paper)."""
 
 if __name__ == "__main__":
     from models.common.cli import run

@@ -1,4 +1,8 @@
-"""Every combination that a campaign file names, on every core, into one Parquet file."""
+"""Simulation of all combinations in a campaign file, on all cores or on a cluster, with one Parquet file as the result.
 
-HERE = "local"  # Ray's own name for this machine's cores
+Start with `command`, which runs the steps in order. `file` and `samples` read the campaign file. `plan` numbers the runs, and
+`batch` simulates them. `store` and `manifest` keep results and gains, which `summary` and `best` evaluate.
+"""
+
+HERE = "local"  # Ray's address for the cores of this machine
 MOST_RUNS = 10_000_000

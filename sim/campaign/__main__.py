@@ -1,4 +1,4 @@
-"""`python -m sim.campaign FILE`: every combination of what a file names, in MuJoCo, beside its linear prediction."""
+"""`python -m sim.campaign FILE`: simulates all combinations in a campaign file, and compares them with linear predictions."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -15,8 +15,8 @@ from sim.campaign import HERE, MOST_RUNS
 from sim.drive import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
-CHECKS = ("runs", "seed")  # options of --verify, and of all else
-RESULTS = ("picture", "verbose", "brief", "best", "subject_to", "save")  # what is done with all results
+CHECKS = ("runs", "seed")  # options that need --verify
+RESULTS = ("picture", "verbose", "brief", "best", "subject_to", "save")  # options that use the results of all runs
 RUNS = ("results", "workers", "batch", "ray", "exported", "part", "merge", *RESULTS)
 NAMES = {"subject_to": "subject-to", "exported": "as"}
 
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, campaign file, results folder, or a disk that is full.
+        InputError: an option, the campaign file or the results folder is invalid, or the disk is full.
     """
     options = _parser().parse_args(arguments)
     if options.verify is None and options.file is None:

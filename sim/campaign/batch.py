@@ -1,4 +1,7 @@
-"""A batch of a campaign: many runs at once, measured and compared with their sampled twins as they go, one row each."""
+"""Simulation of a batch of a campaign: many runs simultaneously, each of which gives one row of the results.
+
+Metrics are computed while the runs are simulated, and so is the difference from the exact response of the linear sampled loop.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,9 +29,10 @@ from synth.controller.controller import is_linear
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
-    """Returns True if a `sim.observers.twin.Twin` responds exactly as the runs do.
+    """Returns True if the linear response of `sim.observers.twin.Twin` is exact for these runs.
 
-    Their laws are linear and act at once on exact signals, or not at all; no curve bends, and no law sets adjustable dampers.
+    This needs a vehicle without nonlinear springs and dampers, and linear laws that do not set semi-active dampers. The laws
+    must act without delay, noise and quantisation, or request no force.
     """
     vehicle = runs[0].vehicle
     linear = all(is_linear(run.controller, run.vehicle) for run in runs)
@@ -37,18 +41,20 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 Rows = list[dict[str, Any]]
-MOST_ROADS = 4096  # whose IRIs are kept; more than a batch has
-FAILED_LAW = "law: "  # how the reason begins why a run's law in Python has failed
+MOST_ROADS = 4096  # largest number of roads whose IRIs are kept; more than the roads of one batch
+FAILED_LAW = "law: "  # first characters of the reason if the Python law of a run has failed
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> Rows | None:
-    """Returns the rows of some runs of one vehicle, or None if stopped.
+    """Returns the rows of consecutive runs of one vehicle, or None if `stopped` returned True.
 
     Args:
-        stopped: function that returns True to abort; called from time to time.
+        plan: all runs of the campaign.
+        start, stop: number of the first run, and number after the last run.
+        stopped: function that returns True to abort; called repeatedly during the simulation.
     """
     runs, rows = plan.runs(start, stop), {}
-    # Random roads are measured once their start is forgotten, others, a bump, a hump, from the start.
+    # Runs over random roads are measured after `settle`, when the transient has decayed; runs over a bump or hump from the start.
     alike: dict[tuple[str, bool, bool], list[int]] = {}
     for i, run in enumerate(runs):
         alike.setdefault((run.inputs["controller"], run.choice.stationary, bool(run.choice.loads)), []).append(i)
@@ -60,17 +66,24 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
         except StoppedError:
             return None
         rows |= {i: {"run": start + i, **row} for i, row in zip(some, driven, strict=True)}
-        # Which runs fail must not depend on the batch: doubtful ones are repeated in halves, until each is alone.
+        # Which runs fail must not depend on the batch. A run that may have failed because of another run is therefore repeated:
+        # these runs are split in halves until each is simulated alone.
         doubtful = [some[i] for i in failed] if len(some) > 1 else []
         todo += [half for half in (doubtful[::2], doubtful[1::2]) if half]
     return [rows[i] for i in range(len(runs))]
 
 
 class RowObserver:
-    """Meters runs, finds the ends of their linear regime, and compares them with their linear twins."""
+    """Observer that computes the metrics of runs, finds the end of their linear regime, and compares them with analysis."""
 
     def __init__(self, plan: Plan, runs: Sequence[PlannedRun], batch: Batch) -> None:
-        """Prepares the runs of a batch, of all runs of one controller."""
+        """Prepares the measurement of a batch.
+
+        Args:
+            plan: all runs of the campaign.
+            runs: runs of one controller.
+            batch: batch of the simulation, with the indices of its runs in `runs`.
+        """
         campaign, runs = plan.campaign, [runs[i] for i in batch.numbers]
         random, loaded = runs[0].choice.stationary, [run.road.loaded for run in runs]
         speeds = [run.road.speed for run in runs]
@@ -85,14 +98,14 @@ class RowObserver:
         self._twin = None if twin is None else twin(batch, self._ends, self._linear)
 
     def take(self, block: Block) -> None:
-        """Takes the next block."""
+        """Measures the next block of time steps of all runs."""
         self._ends.take(block)
         self._meter.update(block.values)
         if self._twin is not None:
             self._twin.take(block)
 
     def result(self) -> list[tuple[RunEnd, dict[str, Any]]]:
-        """Returns the end of each run's linear regime, and its measured columns."""
+        """Returns, for each run, the end of its linear regime and its measured columns."""
         ends, measured = self._ends.result(), self._meter.result()
         if self._linear is not None:
             measured |= {f"{LINEAR}{name}": each for name, each in self._linear.result().items()}
@@ -105,7 +118,10 @@ class RowObserver:
 
 
 def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> tuple[Rows, list[int]]:
-    """Returns the rows of runs of one controller, and the indices of those that may have failed because of another run.
+    """Simulates runs of one controller.
+
+    Returns:
+        Rows of the results, and the indices of the runs that may have failed because of another run.
 
     Raises:
         StoppedError: `stopped` returned True.
@@ -132,7 +148,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
 
 
 def end_columns(end: RunEnd) -> dict[str, Any]:
-    """Returns why a run broke off, or None, and when and how its linear regime ended."""
+    """Returns columns of a row: the reason why a run broke off (None if it did not), and when and why its linear regime ended."""
     reason = None
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"
@@ -149,7 +165,7 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
 
 
 def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
-    """Returns every IRI of the run's road as far as it is driven, by name; computed once, whatever drives over it."""
+    """Returns the IRIs [m/km] of the driven part of a run's road, by name. `plan` keeps them for other runs over this road."""
     key = (*(run.inputs[name] for name in ("road", "speed", "seed")), track_width(run.vehicle))
     if (kept := plan.roughness.get(key)) is None:
         named = roughness(driven_roughness(run.vehicle, run.road, plan.campaign.time))
@@ -161,7 +177,10 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns the columns of a row for expected metrics over a random road, and the remaining transient when measuring begins."""
+    """Returns columns of a run over a random road: expected metrics, and the transient that remains when the measurement begins.
+
+    The result is empty if the road has no spectrum.
+    """
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
     if spectrum is None:
         return {}

@@ -1,6 +1,7 @@
-"""The best controller of a campaign by one metric, within limits on others; and the vehicle file that has it.
+"""Selection of the best controller of a campaign by one metric, within limits on others, and the vehicle file that contains it.
 
-Candidates are all controllers, and every variant of those whose laws are drawn. All have been driven over the same roads.
+Candidates are all controllers. If the law of a controller is sampled, each of its variants is a candidate. All candidates are
+simulated over the same roads.
 """
 
 import math
@@ -41,8 +42,8 @@ class Request:
 
     Attributes:
         metric: metric that is minimised.
-        limits: the most that other metrics may be, in SI units.
-        units: units of the limits; empty for numbers without one.
+        limits: upper limits of other metrics by name, in SI units.
+        units: units of the limits; empty for a limit without a unit.
     """
 
     metric: str
@@ -51,21 +52,21 @@ class Request:
 
     @property
     def words(self) -> str:
-        """The limits in words, after the metric; empty without them."""
+        """Text that lists the limits, such as "peak_travel <= 0.08 m"; empty without limits."""
         return " and ".join(f"{name} <= {limit:g} {self.units[name]}".rstrip() for name, limit in self.limits.items())
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The best of a vehicle's controllers, or the one nearest to the limits.
+    """Result of the selection for one vehicle: the best candidate, or the candidate nearest to the limits.
 
     Attributes:
         vehicle: name of the vehicle in the campaign.
         request: request of the user.
-        candidate: the controller; None if none has numbers.
-        values: drawn keys of its law.
-        numbers: values of the requested metrics.
-        within: number of candidates within the limits; 0 if the candidate is only the nearest.
+        candidate: selected candidate; None if no candidate has all requested metrics.
+        values: sampled keys of its law, by name; empty if the law is not sampled.
+        numbers: values of the requested metrics, in SI units.
+        within: number of candidates within the limits; if it is 0, `candidate` is the one nearest to the limits.
         count: number of candidates.
     """
 
@@ -79,13 +80,13 @@ class Choice:
 
     @property
     def misses(self) -> dict[str, float]:
-        """By how much the limits are missed, in SI units."""
+        """Excess over each limit that the candidate exceeds, by metric, in SI units."""
         limits = self.request.limits.items() if self.candidate is not None else ()
         return {name: self.numbers[name] - limit for name, limit in limits if self.numbers[name] > limit}
 
     @property
     def record(self) -> dict[str, Any]:
-        """The choice as in JSON: the controller, or the nearest one if none is within the limits."""
+        """The choice as a JSON object. `nearest` replaces `best` if no candidate is within the limits."""
         candidate, request = self.candidate, self.request
         about = {"vehicle": self.vehicle, "metric": request.metric, "limits": dict(request.limits)}
         about |= {"within": self.within, "of": self.count, "best": None, "nearest": None}
@@ -97,7 +98,7 @@ class Choice:
 
     @property
     def statement(self) -> Statement:
-        """The choice in words."""
+        """The choice as a printed sentence."""
         request, candidate = self.request, self.candidate
         if candidate is None:
             absent = list_names([request.metric, *request.limits])
@@ -122,10 +123,10 @@ class Choice:
 
 
 def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
-    """Returns what the options ask for; None without `--best`.
+    """Returns the request of `--best` and `--subject-to`; None without `--best`.
 
     Raises:
-        InputError: a metric is unknown or missing for a vehicle; a limit is not a number; options cannot be combined.
+        InputError: a metric is unknown or missing for a vehicle, a limit is not a number, or options cannot be combined.
     """
     if best is None:
         for option, given in (("--subject-to", bool(limits)), ("--save", save is not None)):
@@ -151,20 +152,28 @@ def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], 
 
 
 def _check_metric(option: str, name: str, campaign: Campaign) -> None:
-    """Refuses a metric that a vehicle lacks."""
+    """Raises InputError if a vehicle of the campaign does not have this metric."""
     for vehicle, one in campaign.vehicles.items():
         if name not in (there := _known_metrics(one, campaign)):
             raise InputError(f"{option} {name}: vehicle {vehicle!r} has no metric {name}; it has {list_names(there)}")
 
 
 def _known_metrics(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics of a vehicle: columns of the results, and by each name of the registry those compared."""
+    """Returns the metrics of a vehicle by name.
+
+    A name is either one column of the results, or a name of the registry `METRICS` with all columns that it compares.
+    """
     compared = {name: metrics for name, metrics in compared_metrics(vehicle, campaign.loaded).items() if metrics}
     return {metric.name: (metric,) for metric in metrics_of(vehicle, campaign.loaded)} | compared
 
 
 def _check_save(campaign: Campaign, path: Path) -> None:
-    """Refuses to save a controller of several vehicles, under a name that is taken, or where the file could not be read."""
+    """Checks that `--save` is possible.
+
+    Raises:
+        InputError: the campaign has several vehicles, the name of a saved controller exists already, or the saved file could
+            not be read.
+    """
     if len(campaign.vehicles) > 1:
         raise InputError(f"--save needs a campaign with one vehicle, not {len(campaign.vehicles)}; omit --save, or list one")
     ((name, vehicle),) = campaign.vehicles.items()
@@ -176,7 +185,7 @@ def _check_save(campaign: Campaign, path: Path) -> None:
 
 
 def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
-    """Returns the choice of a vehicle."""
+    """Returns the best candidate of a vehicle, or the candidate nearest to the limits if all exceed them."""
     candidates, known = plan.candidates(vehicle), _known_metrics(plan.campaign.vehicles[vehicle], plan.campaign)
     asked = {name: known[name] for name in (request.metric, *request.limits)}
     table = store.read(list(dict.fromkeys(metric.name for some in asked.values() for metric in some)))
@@ -191,7 +200,7 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    if best is None:  # the nearest: by the largest share by which a limit is missed; of a limit of 0 by how much
+    if best is None:  # the nearest candidate has the smallest excess, relative to the limit; for a limit of 0 the absolute excess
 
         def excess(one: Candidate) -> float:
             return max((numbers[one][name] - limit) / (abs(limit) or 1.0) for name, limit in request.limits.items())
@@ -205,16 +214,20 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
 
 
 def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:
-    """Writes the vehicle file with the chosen controller, whole or not at all; returns the controller's name in it.
+    """Writes the vehicle file with the chosen controller; returns the name of the controller in this file.
 
-    A variant becomes a section NAME_tuned; another controller keeps its section. A comment contains the origin.
+    A variant is written as a new section NAME_tuned. Any other controller keeps its section. A comment in the file contains the
+    command, the metrics and the checksum of the campaign. If writing fails, no incomplete file remains.
 
     Args:
-        command: command line that was called.
+        path: file to write.
+        campaign: campaign of the choice.
+        choice: result of the selection, with a candidate.
+        command: command line of the campaign.
         identity: checksum of the campaign.
 
     Raises:
-        InputError: the file cannot be written, or would not be read back with the same values.
+        InputError: the file cannot be written, or is not a valid vehicle file.
     """
     candidate, vehicle = choice.candidate, campaign.vehicles[choice.vehicle]
     assert candidate is not None, "there is one"
@@ -232,7 +245,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     if candidate.variant is not None:
         lines += section_lines(("controllers", name), record_of(vehicle, candidate.controller, choice.values))
     text = with_sections(vehicle.text_for(path), lines)
-    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    parse_vehicle(text, folder=path.parent)  # checks that the written file can be read
     with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
     return name

@@ -1,4 +1,4 @@
-"""The columns of a campaign's results: name, type and description, as in the metadata of the Parquet file."""
+"""The columns of a campaign's results: name, type, unit and definition, which the metadata of the Parquet file contain."""
 
 from collections.abc import Mapping
 
@@ -26,7 +26,12 @@ INTEGER, NUMBER, TEXT = pa.int64(), pa.float64(), pa.string()
 
 
 def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
-    """Returns every column of the results, in order, with its unit and definition; `metadata` are of the whole file."""
+    """Returns all columns of the results in order, each with its unit and definition.
+
+    Args:
+        campaign: campaign of the results.
+        metadata: metadata of the whole file.
+    """
     metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle, campaign.loaded)}
     rough = dict.fromkeys(name for vehicle in campaign.vehicles.values() for name in roughness_names(vehicle))
     sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])

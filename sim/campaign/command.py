@@ -1,4 +1,4 @@
-"""The command `sim.campaign`: runs a campaign, or checks a finished one."""
+"""The command `sim.campaign`: runs a campaign or a part of it, merges parts, or checks finished results."""
 
 import argparse
 import json
@@ -35,15 +35,15 @@ from sim.drive import RUNS_AT_ONCE
 from sim.studies.ride.score_table import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
-MOST_OF_A_RUN = 0.99  # on a road from a file
-NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
+MOST_OF_A_RUN = 0.99  # if a road from a file covers a smaller share of the run, the command prints a remark
+NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect the results
 
 
 def run_campaign(options: argparse.Namespace) -> int:
-    """Runs the missing part of a campaign and prints the results; returns the exit code.
+    """Simulates the runs of a campaign that have no results yet, and prints the results; returns the exit code.
 
     Raises:
-        InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
+        InputError: the campaign file or the results folder is invalid, options cannot be combined, or the disk is full.
     """
     campaign = _read(options)
     request = requested_best(campaign, options.best, options.subject_to or (), options.save)
@@ -108,10 +108,12 @@ def run_campaign(options: argparse.Namespace) -> int:
 
 
 def run_part(options: argparse.Namespace) -> int:
-    """Runs the missing part of a part of a campaign, and prints how far the campaign is; returns the exit code.
+    """Simulates the runs of one part (`--part`) that have no results yet; returns the exit code.
+
+    Prints the progress of the campaign.
 
     Raises:
-        InputError: a bad campaign file or results folder, a part that overlaps another one, or a disk that is full.
+        InputError: the campaign file or the results folder is invalid, the part overlaps another part, or the disk is full.
     """
     part, campaign, folder = parts.part_of(options.part), _read(options), _folder(options)
     if (folder / NAME).exists():
@@ -144,7 +146,7 @@ def run_part(options: argparse.Namespace) -> int:
 
 
 def _read(options: argparse.Namespace) -> Campaign:
-    """Returns the campaign of the file, after remarks on its roads, and checks options that do not go together."""
+    """Reads the campaign file, prints remarks about its roads, and checks that the options can be combined."""
     campaign = read_campaign(options.file)
     first, fastest, lasts = next(iter(campaign.vehicles.values())), max(campaign.speeds), campaign.duration
     for road in campaign.roads:
@@ -154,7 +156,7 @@ def _read(options: argparse.Namespace) -> Campaign:
             isinstance(road.road, Profile | Surface)
             and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts
         ):
-            after = "it is straight from there on, which lowers every rms"
+            after = "the straight road after its last point lowers every rms value"
             complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
@@ -162,17 +164,17 @@ def _read(options: argparse.Namespace) -> Campaign:
 
 
 def _folder(options: argparse.Namespace) -> Path:
-    """Returns the folder of the campaign's results."""
+    """Returns the folder for the results of the campaign."""
     return options.results or options.file.with_name(f"{options.file.stem}-results")
 
 
 def _cluster(options: argparse.Namespace) -> AbstractContextManager[None]:
-    """Returns the Ray cluster that runs the campaign, to be joined; nothing without `--ray`."""
+    """Returns a context manager that connects to the Ray cluster of `--ray`; without `--ray`, the context does nothing."""
     return cluster(options.ray) if options.ray is not None else nullcontext()
 
 
 def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stages) -> Progress:
-    """Runs what a folder has no rows of, and joins its files."""
+    """Simulates the runs that have no row in the results folder, and joins the files of all batches."""
     for remark in store.damaged:
         print(f"roadproof: {remark}", file=sys.stderr)
     stage("runs")
@@ -194,12 +196,13 @@ def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stag
 
 
 def _merge(campaign: Campaign, folder: Path) -> None:
-    """Writes the results and the plan of the whole campaign from those of its parts, unless both are there.
+    """Writes the results and the plan of the whole campaign from its parts, unless both files exist already.
 
     Raises:
-        InputError: parts overlap, are missing or unfinished, or are of another campaign or of other versions.
+        InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the
+            packages.
     """
-    if (folder / RESULTS).exists() and (folder / NAME).exists():  # and the removal of the parts was interrupted
+    if (folder / RESULTS).exists() and (folder / NAME).exists():  # merged before, but removing the parts was interrupted
         return
     some = parts.there(folder)
     parts.check_complete(folder, some)
@@ -218,7 +221,7 @@ def check_results(options: argparse.Namespace) -> int:
     """Checks a finished campaign and prints the findings; returns the exit code.
 
     Raises:
-        InputError: there is no finished campaign, or it cannot be read here.
+        InputError: the folder contains no finished campaign, or the campaign cannot be read on this machine.
     """
     folder = options.verify
     runs, verified, remark = _verify_runs(options, folder)
@@ -237,7 +240,7 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """Returns the number of runs, the result of --verify, and a remark on the campaign file."""
+    """Returns the number of runs, the result of `verify`, and a remark if the campaign file has changed or no longer exists."""
     manifest = read_manifest(folder, FINISHED_ADVICE) if folder.is_dir() else None
     if manifest is None:
         raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED_ADVICE}")
@@ -265,7 +268,15 @@ def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[s
 
 
 def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path | None, shared: bool = False) -> Manifest:
-    """Returns the manifest in a folder, or in the `shared` one of parts. If the campaign begins now, gains are designed now."""
+    """Returns the manifest of the campaign. If the campaign begins now, its gains are designed and its manifest is written.
+
+    Args:
+        campaign: the campaign.
+        folder: folder of the manifest.
+        file: campaign file.
+        exported: folder of exported code for a controller, or None.
+        shared: True for the folder that all parts of the campaign share, in which another process may write at the same time.
+    """
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
         raise InputError(f"the campaign has {count} runs, but at most {MOST_RUNS} are allowed; list fewer seeds or samples")
@@ -281,7 +292,7 @@ def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path
 
 
 def _plan(campaign: Campaign, manifest: Manifest, folder: Path, part: CampaignPart | None = None) -> tuple[Plan, Store]:
-    """Returns the runs with the gains that the campaign began with, and the results of the campaign or of a part of it."""
+    """Returns the plan of the runs, with the gains of the manifest, and the results store of the campaign or of `part`."""
     about = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
     plan = plan_controllers(replace(campaign, earlier=manifest.earlier), manifest.controllers)
     where, share = (folder, plan.share(1, 1)) if part is None else (part.folder(folder), plan.share(part.number, part.of))
@@ -289,5 +300,5 @@ def _plan(campaign: Campaign, manifest: Manifest, folder: Path, part: CampaignPa
 
 
 def _versions() -> dict[str, str]:
-    """Returns the versions of the packages that decide the numbers."""
+    """Returns the versions of the packages that affect the results, by name."""
     return {name: version for name, version in versions().items() if name in NUMBERS}

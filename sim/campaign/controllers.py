@@ -1,6 +1,6 @@
-"""The controllers of a campaign: designed when it begins, and from then on those that it began with.
+"""The controllers of a campaign. They are designed when the campaign begins, and do not change while it continues.
 
-Gains come from its folder. Laws in Python do not: their files are the user's, the same as then.
+The results folder stores the gains. It does not store laws in Python: the user's files must be the same as at the beginning.
 """
 
 from collections.abc import Mapping
@@ -29,11 +29,12 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
     """Returns the controllers of a new campaign, by vehicle and name.
 
     Args:
-        exported: folder whose code drives one of them, or None.
+        campaign: the campaign.
+        exported: folder with exported code that replaces one of the controllers, or None.
 
     Raises:
         DesignError: a controller cannot be designed.
-        InputError: the file of a law cannot be read, or the folder does not fit.
+        InputError: the file of a law cannot be read, or the exported code does not match.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
@@ -46,18 +47,21 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
 
 
 def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
-    """Returns the runs with the controllers that a campaign began with, and with its drawn laws. No law in Python is run.
+    """Returns the plan of the runs, with the controllers from the beginning of the campaign and the sampled laws.
+
+    This function does not run any law in Python.
 
     Args:
-        gains: gains in the campaign's folder.
+        campaign: the campaign.
+        gains: gains in the results folder.
 
     Raises:
-        InputError: the file of a law cannot be read, or is not as it was.
+        InputError: the file of a law cannot be read, or has changed since the campaign began.
     """
     controllers: dict[str, dict[str, AnyController]] = {}
     drawn: dict[str, dict[str, list[AnyController]]] = {}
     for name, vehicle in campaign.vehicles.items():
-        designer = Designer(vehicle, search=False)  # one for all: they share the path of (22) and the lower bounds
+        designer = Designer(vehicle, search=False)  # one for all controllers, which share the path of (22) and the lower bounds
         controllers[name] = {one: _restore_controller(designer, one, gains[name][one]) for one in campaign.controllers}
         laws = campaign.variants[name].items()
         drawn[name] = {one: [_draw_controller(designer, one, values) for values in variants] for one, variants in laws}
@@ -65,7 +69,10 @@ def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
 
 
 def _restore_controller(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyController:
-    """Returns a controller from its entry of the gains, driven by its exported code, made again, if the campaign began so."""
+    """Returns a controller from its entry in the stored gains.
+
+    If the campaign began with exported code for this controller, the code is compiled again.
+    """
     vehicle, linear = designer.vehicle, name in designer.vehicle.linear_names
 
     def certified(name: str) -> Controller:
@@ -84,17 +91,17 @@ def _restore_controller(designer: Designer, name: str, entry: Mapping[str, Any])
 
 
 def _draw_controller(designer: Designer, name: str, values: Values) -> AnyController:
-    """Returns a controller with drawn values of its law."""
+    """Returns a controller with sampled values of its law."""
     entry = drawn_entry(designer.vehicle, name, values)
     law = entry.law
     return entry.driver(no_design if law is None else lambda name: designer.certify(name, entry.measured, law, entry.hardware))
 
 
 def check_code(gains: Gains, exported: Path) -> None:
-    """Refuses the code of a folder with which a campaign did not begin.
+    """Checks that the exported code in a folder is that with which the campaign began.
 
     Raises:
-        InputError: the code differs, or the campaign began without code.
+        InputError: the code differs, or the campaign began without exported code.
     """
     from synth.controller.export.folder import MANIFEST
 

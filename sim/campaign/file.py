@@ -1,4 +1,7 @@
-"""A campaign file (TOML): which vehicles, controllers, roads, speeds and seeds are combined, and which parameters are sampled."""
+"""Reading of a campaign file (TOML).
+
+The file lists vehicles, controllers, roads, speeds and seeds, all of which are combined, and the parameters to sample.
+"""
 
 import hashlib
 import itertools
@@ -29,25 +32,25 @@ from sim.campaign.samples import Values, read_samples
 from sim.runs.run import sample_times
 from sim.runs.sampled_vehicle import with_sample
 
-SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
+SETTLE = 5.0  # s; after this time, a mode that decays at 0.5 1/s has 99 % of its final variance
 Texts = tuple[str, ...]
-EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")  # of lists
+EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")  # for messages
 FILE_POINTS = {
     Profile: ("distance", "heights"),
     Rig: ("time", "heights"),
     Surface: ("u", "v", "z"),
-}  # roads of files: their points
+}  # types of roads from files, and the attributes that contain their points
 
 
 def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
-    """Returns the seeds: those of a list, or 0, 1, ... as many as there are."""
+    """Returns the seeds of a list; for an integer n, the seeds 0, 1, ..., n - 1."""
     if not isinstance(value, list) or not value:
         return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
     return ListedValues("", Integer("", high=MOST_SEED)).read(value, context)
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> str:
-    """Returns the text of a road from a text, or from a table whose `type` is the kind of road."""
+    """Returns a road as text in the syntax of `--road`, from such a text or from a table with `type`."""
     if isinstance(value, Mapping):
         if value.get("type") not in ROAD_KINDS or value["type"] in OBSTACLES:
             read_road(HERE, value)
@@ -57,7 +60,7 @@ def _road(value: Any, context: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class CampaignFile(Section):
-    """The keys of a campaign file."""
+    """The keys of a campaign file, with types, units and defaults."""
 
     vehicles: Annotated[
         Texts, ListedValues("vehicle files next to this file, or names of built-in vehicles", Text(), EXAMPLES[0])
@@ -77,21 +80,22 @@ class CampaignFile(Section):
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """A campaign, as its file says.
+    """Content of a campaign file. Runs are all combinations of vehicles, controllers, roads, speeds, seeds and samples.
 
     Attributes:
         vehicles: vehicles by their names in the campaign file.
-        controllers: names; every vehicle has them all.
-        roads: roads that are requested.
-        speeds: speeds of the vehicle [m/s].
-        seeds: seeds of the random roads; other roads run once.
+        controllers: names of the controllers; every vehicle has all of them.
+        roads: requested roads.
+        speeds: speeds of the vehicles [m/s].
+        seeds: seeds of the random roads. Any other road is simulated once.
         duration: duration of every run [s].
-        settle: beginning of a run over a random road that is not measured [s]; others are measured from the start.
-        timestep: timestep of the physics [s].
-        samples: parameters of every vehicle, by sample: values by name. One empty sample where none are sampled.
-        variants: values by key for each variant, of every vehicle and controller whose law is drawn.
+        settle: time at the start of each run over a random road that is not measured [s]. Runs over other roads are measured
+            from the start.
+        timestep: timestep of the simulation [s].
+        samples: samples of each vehicle; values [SI] by parameter. A single empty sample if nothing is sampled.
+        variants: variants of each sampled law, by vehicle and controller; values by key of the law.
         sample_seed: seed of samples and variants.
-        text: the file.
+        text: text of the campaign file.
         earlier: True to repeat a campaign of an earlier version, see `RoadInput.earlier`.
     """
 
@@ -116,18 +120,18 @@ class Campaign:
 
     @property
     def loaded(self) -> bool:
-        """Returns True if any of its roads has loads: then the angles of all bodies are measured."""
+        """True if any road has loads. In this case, the angles of all bodies are measured."""
         return any(road.loads for road in self.roads)
 
     @property
     def first(self) -> int:
-        """The sample from which is measured."""
+        """Index of the first measured time step on a random road."""
         return round(self.settle / self.timestep)
 
     @property
     def digest(self) -> str:
-        """Checksum of everything that decides the numbers: the file, and those that it names."""
-        # Tables before surfaces, whatever their order: folders that are there know a campaign by this.
+        """Checksum of all inputs of the results: the campaign file, the vehicle files and the files of roads."""
+        # Roads of OpenCRG come last whatever their order in the file, because existing results folders contain this checksum.
         roads = sorted(self.roads, key=lambda road: isinstance(road.road, Surface))
         measured = [line for road in roads for line in _file_checksums(road)]
         sources = "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
@@ -138,13 +142,18 @@ def read_campaign(path: Path) -> Campaign:
     """Reads a campaign file.
 
     Raises:
-        InputError: the file cannot be read, something in it is missing, unknown or not allowed, or it makes no runs.
+        InputError: the file cannot be read, a key is missing, unknown or has an invalid value, or a road cannot be driven.
     """
     return parse_campaign(read_text(path, "campaign file", "give a TOML file"), path)
 
 
 def parse_campaign(text: str, path: Path) -> Campaign:
-    """Returns a campaign from the text of its file; the files that it names are in the folder of `path`."""
+    """Returns a campaign from the text of its file.
+
+    Args:
+        text: text of the campaign file.
+        path: path of this file. Relative paths of other files are relative to its folder.
+    """
     with error_in(f"campaign file {path}:"):
         return _parse(text, path.parent)
 
@@ -184,12 +193,18 @@ def _parse(text: str, folder: Path) -> Campaign:
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     for name, vehicle in vehicles.items():
-        print_remarks(with_sample(vehicle, campaign.samples[name][0]))  # which shows a distribution in another unit
+        print_remarks(with_sample(vehicle, campaign.samples[name][0]))  # remarks show if a distribution has the wrong unit
     return campaign
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Checks that nothing is named twice, in the same words or in others: its runs would count twice."""
+    """Checks that a list contains nothing twice, whatever its spelling, because its runs would count twice.
+
+    Args:
+        key: key of the list in the campaign file.
+        written: entries as in the file.
+        read: entries in a form that is equal for equal content.
+    """
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
         if meant in first:
@@ -198,14 +213,14 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
 
 
 def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
-    """Returns a key that is equal for equal roads, whatever their text."""
+    """Returns a key that is equal for equal roads, even if their texts differ."""
     alone = replace(road, loads=())
     of_road = _file_checksums(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
     return (*of_road, *(load.content for load in road.loads))
 
 
 def _file_checksums(road: RoadChoice) -> list[str]:
-    """Checksums of the file that a road was measured in, and loads that are files; none of a road that is computed."""
+    """Returns lines that identify the files of a road and of its loads, with checksums; empty if no file is read."""
     measured = road.road
     arrays = [getattr(measured, name) for name in FILE_POINTS.get(type(measured), ())]
     named = [*measured.posts] if isinstance(measured, Rig) else [measured.join] if isinstance(measured, Profile) else []

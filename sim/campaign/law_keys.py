@@ -1,6 +1,6 @@
-"""Keys of a controller's law that a campaign draws: numbers of a semi-active law, and entries of a gain or of a law's matrices.
+"""Keys of a control law that a campaign can sample: parameters of a semi-active law, entries of a gain or of a law's matrices.
 
-A drawn law is read as a vehicle file's section is, with the same limits, so that it can be written as one.
+A sampled law is read in the same way as a section of a vehicle file, with the same limits. It can therefore be written to one.
 """
 
 import unicodedata
@@ -13,10 +13,10 @@ from models.vehicle.vehicle import Vehicle
 
 
 def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
-    """Returns the keys of a law, with the values that the vehicle file gives; None for a default.
+    """Returns the keys of a law with their values in the vehicle file. The value is None if the file does not contain the key.
 
     Raises:
-        InputError: the law is designed, in Python, or without keys, or the file has no such section.
+        InputError: the controller has no section in the vehicle file, is designed, is a law in Python, or has no keys.
     """
     entry = vehicle.controllers.get(controller)
     if entry is None or not entry.source.values:
@@ -28,13 +28,16 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
 
 
 def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> dict[str, Any]:
-    """Returns the section of a controller with drawn values, as TOML holds it; goals and certificate are of another law."""
+    """Returns the section of a controller with sampled values, for TOML.
+
+    Goals and certificate are omitted, because they belong to the original law.
+    """
     entry = vehicle.controllers[controller]
     return entry.source.with_values(entry.measured, values) | entry.hardware.record
 
 
 def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> ControllerEntry:
-    """Returns a controller's entry with drawn values.
+    """Returns the entry of a controller with sampled values of its law.
 
     Raises:
         InputError: a value is not allowed.

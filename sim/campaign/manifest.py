@@ -1,4 +1,4 @@
-"""The plan of a campaign in its results folder: what it runs, with which gains and versions."""
+"""The plan of a campaign in its results folder: a copy of the campaign file, the gains and the versions of packages."""
 
 import contextlib
 import json
@@ -16,29 +16,29 @@ from models.common.files import made_folder, reading, whole_file
 from synth.controller.controller import AnyController
 
 NAME, RESULTS, LOCK, PARTS = "plan.json", "results.parquet", ".lock", "parts"
-PARTIAL_FILES = ".*.part*"  # files that were being written when a process was killed, see `whole_file`
-EARLIER = "campaign.json"  # the plan in folders of version 0.1
+PARTIAL_FILES = ".*.part*"  # incomplete files that remain if a process is killed while it writes, see `whole_file`
+EARLIER = "campaign.json"  # name of the plan in results of Roadproof 0.1
 FULL = "free some space, or give another folder with --results; finished runs are kept"
 ELSEWHERE = "give a new or empty folder with --results"
 
 
-# The gains of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
+# Controllers by vehicle and name: measurements and gain; for a law in Python, the name of the law and the checksum of its file.
 Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """The content of a campaign, fixed at its beginning.
+    """Plan of a campaign, which does not change after the campaign has begun.
 
     Attributes:
         file: absolute path of the campaign file when the campaign began.
-        digest: checksum of everything that determines the numbers, see `Campaign.digest`.
-        versions: versions of the packages that do.
+        digest: checksum of all inputs of the results, see `Campaign.digest`.
+        versions: versions of the packages that affect the results, by name.
         campaign: text of the campaign file.
-        controllers: the gains.
+        controllers: gains by vehicle and controller.
         runs: number of runs.
         earlier: True for a campaign of an earlier version, see `RoadInput.earlier`.
-        part: the part of the campaign in its folder, such as 3/40; empty for a whole campaign.
+        part: part of the campaign that this folder contains, such as 3/40; empty for a whole campaign.
     """
 
     file: str
@@ -51,7 +51,7 @@ class Manifest:
     part: str = ""
 
     def write(self, folder: Path) -> "Manifest":
-        """Writes it into the results folder, and returns it.
+        """Writes this plan to the results folder, and returns the plan.
 
         Raises:
             InputError: the file cannot be written.
@@ -61,7 +61,7 @@ class Manifest:
         return self
 
     def publish(self, folder: Path) -> "Manifest":
-        """Makes a folder with this plan, unless another process makes it first; returns the plan that is there.
+        """Creates a folder with this plan, unless another process creates the folder first; returns the plan in the folder.
 
         Raises:
             InputError: the folder cannot be created.
@@ -70,7 +70,7 @@ class Manifest:
         with made_folder(beside, "results", FULL):
             self.write(beside)
         try:
-            beside.rename(folder)  # fails if there is a folder with files
+            beside.rename(folder)  # fails if the folder exists and contains files
         except OSError as error:
             shutil.rmtree(beside, ignore_errors=True)
             if not (folder / NAME).exists():
@@ -78,10 +78,16 @@ class Manifest:
         return read_manifest(folder) or self
 
     def check(self, folder: Path, digest: str, versions: Mapping[str, str], instead: str = ELSEWHERE) -> None:
-        """Checks that the campaign of its folder has a checksum and versions; `instead` is the advice of the message.
+        """Checks that the plan in a folder belongs to this campaign and to the installed versions.
+
+        Args:
+            folder: results folder, for the message.
+            digest: checksum of the campaign, see `Campaign.digest`.
+            versions: installed versions of packages, by name.
+            instead: advice at the end of the message.
 
         Raises:
-            InputError: the folder is of another campaign, or of other versions.
+            InputError: the checksum or a version differs.
         """
         if self.digest != digest:
             raise InputError(f"{folder} contains the results of another campaign, or its files have changed; {instead}")
@@ -94,13 +100,14 @@ class Manifest:
 
 
 def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
-    """Returns the plan in a folder, or None if the folder is empty.
+    """Returns the plan in a folder; None if the folder is empty.
 
     Args:
-        instead: advice for the message, if the folder has no readable campaign.
+        folder: results folder.
+        instead: advice at the end of the message, if the folder contains no readable campaign.
 
     Raises:
-        InputError: the folder has other files, an unfinished campaign of an earlier version, or a plan that cannot be read.
+        InputError: the folder contains other files, an unfinished campaign of Roadproof 0.1, or a plan that cannot be read.
     """
     path = folder / NAME
     if not path.exists() and (folder / EARLIER).exists():
@@ -123,7 +130,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
 
 
 def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Returns the gains by vehicle and controller for JSON, with every digit; for a law in Python its checksum."""
+    """Returns the gains by vehicle and controller as JSON objects, with all digits; for a law in Python, its checksum."""
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
         for vehicle, some in controllers.items()
@@ -132,7 +139,9 @@ def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
+    """Creates a results folder and locks it while the context is active.
+
+    The operating system releases the lock, however the process ends. If no campaign begins, the lock file is removed.
 
     Raises:
         InputError: the folder cannot be created or written, or another campaign is running in it.
@@ -141,8 +150,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
         lock = filelock.FileLock(folder / LOCK, timeout=0)
         try:
             lock.acquire()
-        except OSError as error:  # also of a lock that is held
-            # A finished campaign is only read: this needs no lock, which some network file systems do not have.
+        except OSError as error:  # includes filelock.Timeout, which means that another process holds the lock
+            # A finished campaign is only read. Reading needs no lock, and some network file systems have none.
             if isinstance(error, filelock.Timeout) or not (folder / RESULTS).exists():
                 raise InputError(
                     f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "

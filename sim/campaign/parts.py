@@ -1,7 +1,10 @@
-"""Parts of a campaign: each is one job of a cluster's queue. Machines need a shared folder, but no locks, and no order of jobs.
+"""Parts of a campaign, for the job queue of a cluster: each part is one job.
 
-The folder `parts` in the campaign's folder has the plan, made by the first part that starts, and a folder for each part, such as
-`3-of-40`, with its own copy of the plan. `--merge` makes the folder of a whole campaign from them.
+The machines need a shared folder, but no file locks. Jobs can run in any order.
+
+The results folder contains a folder `parts` with the plan, which the first part writes when it starts. `parts` also contains a
+folder for each part, such as `3-of-40`, with its own copy of the plan. `--merge` makes the results of the whole campaign from
+these folders.
 """
 
 import itertools
@@ -24,8 +27,8 @@ class CampaignPart:
     """A part of a campaign.
 
     Attributes:
-        of: number of parts.
-        number: number of the part, from 1 on.
+        of: total number of parts.
+        number: number of this part, from 1 to `of`.
     """
 
     of: int
@@ -35,15 +38,15 @@ class CampaignPart:
         return f"{self.number}/{self.of}"
 
     def folder(self, campaign: Path) -> Path:
-        """Returns the folder of the part in the folder of its campaign."""
+        """Returns the folder of this part. `campaign` is the results folder of the whole campaign."""
         return campaign / PARTS / f"{self.number}-of-{self.of}"
 
 
 def part_of(text: str) -> CampaignPart:
-    """Returns the part that the option `--part` names.
+    """Returns the part for the value K/N of the option `--part`.
 
     Raises:
-        InputError: the text is not K/N.
+        InputError: the value does not have the form K/N, or K is not between 1 and N.
     """
     found = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", text)
     number, of = map(int, found.groups()) if found else (0, 0)
@@ -54,10 +57,10 @@ def part_of(text: str) -> CampaignPart:
 
 
 def there(folder: Path) -> list[CampaignPart]:
-    """Returns the parts that have a folder in the folder of their campaign, in order.
+    """Returns the parts that have a folder in the results folder of their campaign, in ascending order.
 
     Raises:
-        InputError: parts overlap, because the campaign was cut into different numbers of parts.
+        InputError: parts overlap, because the campaign was divided into different numbers of parts.
     """
     names = [match for path in (folder / PARTS).glob("*-of-*") if (match := FOLDER.fullmatch(path.name))]
     parts = sorted(CampaignPart(int(name[2]), int(name[1])) for name in names if int(name[1]) <= int(name[2]))
@@ -66,7 +69,7 @@ def there(folder: Path) -> list[CampaignPart]:
 
 
 def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
-    """Checks that all parts are of one number of parts.
+    """Checks that all parts have the same total number of parts. Otherwise, two parts contain the same runs.
 
     Raises:
         InputError: two parts overlap.
@@ -84,17 +87,17 @@ def unfinished_parts(folder: Path, of: int) -> list[int]:
 
 
 def parts_text(numbers: Sequence[int], of: int) -> str:
-    """Returns parts in words, such as "parts 4, 7-9 of 40"."""
+    """Returns a text that lists parts by number, such as "parts 4, 7-9 of 40"."""
     runs = [[number for _, number in some] for _, some in itertools.groupby(enumerate(numbers), lambda one: one[1] - one[0])]
     said = ", ".join(f"{run[0]}-{run[-1]}" if run[1:] else str(run[0]) for run in runs)
     return f"part{'s' * (len(numbers) > 1)} {said} of {of}"
 
 
 def begin(folder: Path, part: CampaignPart, plan: Manifest) -> None:
-    """Writes the plan of the campaign into the folder of a part that begins.
+    """Writes the plan of the campaign to the folder of a part, unless the folder already contains a plan.
 
     Raises:
-        InputError: the folder has other files, or the file cannot be written.
+        InputError: the folder contains other files, or the plan cannot be written.
     """
     own = part.folder(folder)
     if read_manifest(own, AGAIN) is None:
@@ -102,10 +105,10 @@ def begin(folder: Path, part: CampaignPart, plan: Manifest) -> None:
 
 
 def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, versions: Mapping[str, str]) -> None:
-    """Checks that the folder of a part is of this campaign, with its gains.
+    """Checks that the folder of a part belongs to this campaign and has the same gains and versions.
 
     Raises:
-        InputError: the folder has another part, or a part of another campaign, with other gains or of other versions.
+        InputError: the folder contains another part, or its campaign, gains or versions differ.
     """
     own = part.folder(folder)
     manifest = read_manifest(own, AGAIN)
@@ -117,10 +120,10 @@ def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, version
 
 
 def check_complete(folder: Path, parts: Sequence[CampaignPart]) -> None:
-    """Checks that all parts are there, and finished.
+    """Checks that all parts exist and are finished.
 
     Raises:
-        InputError: there are no parts, or some are missing or unfinished.
+        InputError: no part exists, or some parts are missing or unfinished.
     """
     if not parts:
         raise InputError(f"--merge: {folder} contains no parts of a campaign; run them with --part, as in --part 1/40")
@@ -133,6 +136,6 @@ def check_complete(folder: Path, parts: Sequence[CampaignPart]) -> None:
 
 
 def remove(folder: Path) -> None:
-    """Removes the parts of a campaign that is merged."""
+    """Removes the folders of all parts after the campaign is merged."""
     for path in (folder / PARTS, *folder.glob(f".{PARTS}.*")):
         shutil.rmtree(path, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The runs of a campaign: which there are, in what order, which are driven side by side, and how far they are."""
+"""The runs of a campaign: their numbers, order, batches and parts, and the progress of the simulation."""
 
 import itertools
 import math
@@ -22,21 +22,21 @@ from sim.drive.loop import runs_at_once
 from sim.runs.sampled_vehicle import with_sample
 from synth.controller.controller import AnyController
 
-LOST_TIME = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
+LOST_TIME = 5.0  # s, approximate time that a worker spends on a batch; an interruption loses at most this work
 RATE = Field[float]("speed", float, ".3g", unit="steps/s")
-FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 16 than by 64, each
-TOGETHER = 64  # runs in a row that one part of a campaign has, if there are enough
-MOST_ROUNDS = 64  # of such rows of runs, dealt to all parts of a campaign
-Runs = Sequence[tuple[int, int]]  # ascending (start, stop)
+FEWEST = 16  # smallest batch; a quarter-car run costs a fifth more in a batch of 16 than in a batch of 64
+TOGETHER = 64  # smallest number of consecutive runs in a part of a campaign, if the campaign has enough runs
+MOST_ROUNDS = 64  # largest number of such intervals of runs in each part
+Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers, without `stop`
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A controller of a vehicle, or a variant of one whose law is drawn.
+    """A controller of a vehicle, or a variant of a controller with a sampled law.
 
     Attributes:
         controller: name of the controller.
-        variant: number of the variant; None for the law of the vehicle file.
+        variant: number of the variant; None if the law is not sampled.
     """
 
     controller: str
@@ -44,21 +44,23 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Name in tables."""
+        """Name in tables, such as `skyhook#12` for variant 12."""
         return self.controller if self.variant is None else f"{self.controller}#{self.variant}"
 
 
 @dataclass(frozen=True, eq=False)
 class RunBlock:
-    """The runs of a vehicle with a controller over a road at a speed, numbered in a row: variants slowest, seeds fastest.
+    """All runs of one vehicle with one controller over one road at one speed.
+
+    The runs have consecutive numbers. Seeds change fastest, then samples, then variants.
 
     Attributes:
         start: number of the first run.
-        vehicle, controller: names in the campaign.
-        road, speed: the road, and the speed [m/s].
-        variants: drawn values of the law; None if it is not drawn.
-        samples: sampled values of the vehicle; a single empty one if none are sampled.
-        seeds: seeds of the road; only the first for a road without random heights.
+        vehicle, controller: names in the campaign file.
+        road, speed: road, and speed [m/s].
+        variants: sampled values of the law by key, for each variant; None if the law is not sampled.
+        samples: sampled parameters of the vehicle by name [SI], for each sample; a single empty sample if none are sampled.
+        seeds: seeds of the road; only the first seed if the road is not random.
     """
 
     start: int
@@ -72,17 +74,17 @@ class RunBlock:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Numbers of variants, samples and seeds."""
+        """Number of variants, number of samples and number of seeds."""
         return len(self.variants or ({},)), len(self.samples), len(self.seeds)
 
     @property
     def stop(self) -> int:
-        """Returns the number after that of the last run."""
+        """Number of the last run plus 1."""
         return self.start + math.prod(self.shape)
 
     @property
     def candidates(self) -> dict[Candidate, Array]:
-        """The controller or its variants, each with the numbers of its runs."""
+        """The controller, or each of its variants, with the numbers of its runs, shape (n,)."""
         numbers = [None] if self.variants is None else range(len(self.variants))
         runs = np.split(np.arange(self.start, self.stop), len(numbers))
         return {Candidate(self.controller, number): some for number, some in zip(numbers, runs, strict=True)}
@@ -90,13 +92,15 @@ class RunBlock:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Every run of a campaign, numbered: vehicles slowest, then controllers, roads and speeds. Roads without a seed run once.
+    """All runs of a campaign with their numbers.
+
+    Vehicles change slowest, then controllers, roads and speeds. A road that is not random is simulated once, not for each seed.
 
     Attributes:
         campaign: the campaign.
-        controllers: drivers by vehicle and name.
-        variants: drawn laws of every vehicle, by controller.
-        roughness: IRIs of roads so far; kept for a while, as many runs share a road.
+        controllers: controllers by vehicle and name.
+        variants: sampled laws by vehicle and controller, one for each variant.
+        roughness: IRIs [m/km] of roads that are computed already. They are kept for a while, because many runs share a road.
     """
 
     campaign: Campaign
@@ -106,7 +110,7 @@ class Plan:
 
     @cached_property
     def blocks(self) -> list[RunBlock]:
-        """Every combination of vehicle, controller, road and speed, in the order of the runs."""
+        """All combinations of vehicle, controller, road and speed, in the order of the runs."""
         c, blocks, start = self.campaign, list[RunBlock](), 0
         for vehicle, controller, road, speed in itertools.product(c.vehicles, c.controllers, c.roads, c.speeds):
             drawn, seeds = c.variants[vehicle].get(controller), c.seeds if road.random else c.seeds[:1]
@@ -116,12 +120,12 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """Returns the number of runs."""
+        """Number of all runs."""
         return self.blocks[-1].stop
 
     @cached_property
     def distances(self) -> Array:
-        """Measured distance of every run at its speed [m], shape (count,)."""
+        """Distance that each run drives while it is measured [m], shape (count,)."""
         c, blocks = self.campaign, self.blocks
         counts = [len(c.time) - (c.first if one.road.stationary else 0) for one in blocks]
         of_blocks = [one.speed * count * c.timestep for one, count in zip(blocks, counts, strict=True)]
@@ -132,7 +136,7 @@ class Plan:
         return [block.start for block in self.blocks]
 
     def place(self, run: int) -> tuple[RunBlock, int, int, int]:
-        """Returns the block of a run, and its variant, sample and seed in it, by index."""
+        """Returns the block that contains a run, and the indices of the run's variant, sample and seed in this block."""
         block = self.blocks[bisect_right(self._starts, run) - 1]
         variant, sample, seed = map(int, np.unravel_index(run - block.start, block.shape))
         return block, variant, sample, seed
@@ -143,7 +147,10 @@ class Plan:
         return self.controllers[vehicle][candidate.controller] if drawn is None else drawn[candidate.variant or 0]
 
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
-        """Returns every controller of a vehicle, and every variant of a drawn one, with its runs."""
+        """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
+
+        If a law is sampled, every variant is a candidate instead of its controller.
+        """
         runs: dict[Candidate, list[Array]] = {}
         for block in (one for one in self.blocks if one.vehicle == vehicle):
             for candidate, some in block.candidates.items():
@@ -151,10 +158,14 @@ class Plan:
         return {candidate: np.concatenate(some) for candidate, some in runs.items()}
 
     def share(self, number: int, of: int) -> Runs:
-        """Returns the runs of a part of the campaign, from 1 on. All parts take about the same time.
+        """Returns the runs of one part of the campaign, as ascending intervals. All parts take about the same time.
 
-        The runs of each vehicle are dealt to the parts in rounds, each of which begins with another part. A part thus has runs of
-        all controllers, roads and speeds, many of them in a row.
+        The runs of each vehicle are distributed in rounds: each round gives every part one interval of consecutive runs and
+        starts with another part. Each part therefore has runs of all controllers, roads and speeds.
+
+        Args:
+            number: number of the part, from 1 to `of`.
+            of: total number of parts.
         """
         share, start = list[tuple[int, int]](), 0
         for stop in {block.vehicle: block.stop for block in self.blocks}.values():
@@ -169,11 +180,11 @@ class Plan:
         return share
 
     def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
-        """Yields the runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
+        """Yields batches (start, stop) of missing runs. Each batch has runs of one vehicle, and its results fit into memory.
 
         Args:
-            gaps: gaps, ascending.
-            most: function that returns how many runs the next batch may have; called before each batch.
+            gaps: intervals (start, stop) of missing runs, ascending.
+            most: function that returns the largest size of the next batch; called before each batch.
         """
         ends = {block.vehicle: block.stop for block in self.blocks}
         for start, stop in gaps:
@@ -185,7 +196,7 @@ class Plan:
                 start = end
 
     def inputs(self, run: int) -> dict[str, Any]:
-        """Returns the columns of a row that describe its run."""
+        """Returns the columns of a row of the results that describe the inputs of its run."""
         block, variant, sample, seed = self.place(run)
         law = block.variants[variant] if block.variants else None
         return {
@@ -200,7 +211,7 @@ class Plan:
         }
 
     def runs(self, start: int, stop: int) -> "list[PlannedRun]":
-        """Returns some runs of one vehicle. Runs of one sample share the vehicle."""
+        """Returns consecutive runs of one vehicle. Runs with the same sample share one vehicle object."""
         c, runs, vehicles = self.campaign, [], dict[int, Vehicle]()
         for run in range(start, stop):
             block, variant, sample, seed = self.place(run)
@@ -214,13 +225,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """Run with everything that it needs.
+    """All inputs of one run.
 
     Attributes:
-        inputs: columns of its row that describe the run.
+        inputs: columns of the results that describe the inputs.
         vehicle: vehicle with the sampled values.
-        controller: driver of the run.
-        choice, road: choice of the road, and the road.
+        controller: controller of the run.
+        choice, road: road as requested in the campaign file, and the road itself for this vehicle, speed and seed.
     """
 
     inputs: Mapping[str, Any]
@@ -231,12 +242,12 @@ class PlannedRun:
 
     @property
     def system(self) -> tuple[int, int]:
-        """Returns a key that is equal for runs of one vehicle with one controller."""
+        """Key that is equal for runs with the same vehicle and the same controller."""
         return id(self.vehicle), id(self.controller)
 
 
 class Progress:
-    """Progress of a campaign: runs done, speed, remaining time, and size of the next batch."""
+    """Progress of a campaign: finished runs, speed, remaining time, and size of the next batch."""
 
     def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
         self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
@@ -244,15 +255,20 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Run-steps a second."""
+        """Simulated time steps of all runs per second."""
         return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
 
     def next_batch(self) -> int:
-        """Returns the size of the next batch: as many runs as a worker does in the time that an interruption may cost."""
+        """Returns the size of the next batch: the number of runs that a worker finishes in about `LOST_TIME`."""
         return self._next
 
     def add(self, runs: int, took: float) -> None:
-        """Shows that some more are done, by one worker in so many seconds."""
+        """Adds finished runs and shows the progress.
+
+        Args:
+            runs: number of finished runs.
+            took: time that one worker spent on them [s].
+        """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs
         left = (self.total - self.done) * self.steps / self.rate

@@ -1,7 +1,7 @@
-"""`[samples]` of a campaign file: distributions of parameters of the vehicles, and of the keys of their controllers' laws.
+"""Section `[samples]` of a campaign file: distributions of vehicle parameters and of the keys of control laws.
 
-Vehicles and laws are drawn apart, and every variant of a law meets every sample of the vehicle, over the same roads: what differs
-between two variants is the law alone.
+Vehicles and laws are sampled independently. Every variant of a law is simulated with every sample of the vehicle over the same
+roads, so two variants differ only in the law.
 """
 
 import unicodedata
@@ -22,14 +22,14 @@ from sim.runs.sampled_vehicle import damper_numbers, with_sample
 
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
-WIDEST = 3.0  # standard deviations; a normal distribution is cut there
+WIDEST = 3.0  # standard deviations at which a normal distribution is truncated
 
-Values = Mapping[str, float]  # drawn, by name
+Values = Mapping[str, float]  # sampled values by name
 
 
 @dataclass(frozen=True)
 class SamplesSection(Section):
-    """`[samples]` of a campaign file."""
+    """Keys of the section `[samples]` of a campaign file."""
 
     count: Annotated[int, Integer("number of samples of every vehicle", 1, MOST_RUNS)]
     variants: Annotated[int, Integer("number of variants of every law; default: count", 1, MOST_RUNS)] | None = None
@@ -41,7 +41,13 @@ class SamplesSection(Section):
 
 @dataclass(frozen=True)
 class Sampler:
-    """Drawing of points: how many, by which of `METHODS`, from which seed."""
+    """Random sampling of parameters.
+
+    Attributes:
+        count: number of samples.
+        method: sampling method, one of `METHODS`.
+        seed: seed of the random numbers.
+    """
 
     count: int
     method: str
@@ -55,16 +61,19 @@ class Sampler:
         check: Callable[[str, float], object],
         units: Mapping[str, str],
     ) -> tuple[Values, ...]:
-        """Returns values of what a table of distributions names.
+        """Returns `count` samples of the parameters in a table, each with values by name.
 
         Args:
-            where: place of the table, and whose values they are, for messages.
-            own: the vehicle file's values of all that can be drawn, of which relative ones are multiples; None if it gives none.
-            check: raises an InputError for a value that is not allowed.
-            units: units of those that have one.
+            where: section of the table and name of the vehicle, for messages.
+            table: distributions by name.
+            own: values in the vehicle file of all parameters that can be sampled; None for a parameter without a value.
+                Relative distributions are multiples of these values.
+            check: function that raises InputError if a value is not allowed.
+            units: units of the parameters that have one.
 
         Raises:
-            InputError: the table has an unknown name, no distribution, or one that reaches a value that is not allowed.
+            InputError: the table contains an unknown name or an invalid distribution, or a distribution reaches an invalid
+                value.
         """
         quantiles: dict[str, Callable[[Array], Array]] = {}
         scales: dict[str, float] = {}
@@ -84,21 +93,28 @@ class Sampler:
         return tuple(dict(zip(scales, row, strict=True)) for row in rows)
 
     def _unit_samples(self, dimensions: int) -> Array:
-        """Points of the unit cube, shape (count, dimensions)."""
-        from scipy.stats import qmc  # half a second
+        """Returns points in the unit cube, shape (count, dimensions)."""
+        from scipy.stats import qmc  # imported here because the import takes half a second
 
         engine = qmc.Sobol if self.method == "sobol" else qmc.LatinHypercube
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that counts are balanced only at powers of two
+            warnings.simplefilter("ignore", UserWarning)  # SciPy warns if the count is not a power of two
             return engine(dimensions, rng=np.random.default_rng(self.seed)).random(self.count)
 
 
 def read_samples(
     section: Any, vehicles: Mapping[str, Vehicle], controllers: Sequence[str] = ()
 ) -> tuple[dict[str, tuple[Values, ...]], dict[str, dict[str, tuple[Values, ...]]], int]:
-    """Returns the samples of every vehicle, the variants of its controllers' laws, and the seed.
+    """Reads the section `[samples]`.
 
-    One empty sample stands for a vehicle that is not sampled. A controller whose law is not drawn has no variants.
+    Args:
+        section: the section; None if the campaign file does not have one.
+        vehicles: vehicles of the campaign by name.
+        controllers: names of the controllers of the campaign.
+
+    Returns:
+        Samples by vehicle, a single empty one if no parameter is sampled; variants by vehicle and controller, only for sampled
+        laws; and the seed.
     """
     of_vehicles: dict[str, tuple[Values, ...]] = {name: ({},) for name in vehicles}
     of_laws: dict[str, dict[str, tuple[Values, ...]]] = {name: {} for name in vehicles}
@@ -126,7 +142,7 @@ def read_samples(
 
 
 def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
-    """Returns the sampled parameters of a vehicle."""
+    """Returns the samples of a vehicle's parameters."""
     parameters = {parameter.name: parameter for parameter in vehicle.kind.parameters}
     elements = {key: one for element in vehicle.elements for key, one in element.numbers.items()}
     own = {**vehicle.parameters, **{damper: value for damper, (value, _) in damper_numbers(vehicle).items()}}
@@ -147,12 +163,12 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
         with error_in(f"[samples] vehicle {name!r}: sampled values do not fit together:"):
             sampled = with_sample(vehicle, sample)
             vehicle.kind.check(sampled.parameters)
-            _ = sampled.parts  # which looks whether its dampers can be what they nominally are
+            _ = sampled.parts  # raises InputError if a semi-active damper cannot produce its nominal damping
     return samples
 
 
 def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
-    """Returns the drawn keys of a controller's law."""
+    """Returns the variants of a control law: sampled values by key."""
     where = f"[samples.controllers.{controller}]"
     if not isinstance(table, dict) or not table:
         raise InputError(f"{where} samples nothing; give a key of the law, as in sky_damping = {{ uniform = [500.0, 4000.0] }}")
@@ -163,7 +179,12 @@ def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler:
 
 
 def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, tuple[float, float], Callable[[Array], Array]]:
-    """Returns if a distribution is of multiples of each vehicle's own value, its least and most, and its quantiles by share."""
+    """Reads a distribution.
+
+    Returns:
+        True if the distribution is relative to the value in the vehicle file, its smallest and largest value, and its quantile
+        function.
+    """
     give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}; relative = true may be added"
     relative = entry.get("relative", False) if isinstance(entry, dict) else None
     shapes = [key for key in entry if key != "relative"] if isinstance(relative, bool) else []
@@ -174,7 +195,7 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     a, b = (SI("" if relative else unit, low=-1e12, high=1e12).number(f"{where}: {shapes[0]}", value) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] has no width; give low < high, or a standard deviation above 0")
-    from scipy import stats  # half a second
+    from scipy import stats  # imported here because the import takes half a second
 
     if shapes[0] == "uniform":
         return relative, (a, b), stats.uniform(a, b - a).ppf

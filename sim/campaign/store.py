@@ -1,7 +1,8 @@
-"""A campaign's results on disk: one Parquet file for each batch while it runs, and one for all runs when it is done.
+"""Results of a campaign on disk: one Parquet file per batch while the campaign runs, and one file with all runs at the end.
 
-The name of a batch's file has its first run and the run after its last. Files are complete or do not exist, so a campaign goes on
-after any end: it runs what has no file. A file that is cut or empty is run again.
+The file name of a batch contains the number of its first run and the number after its last run. Each file appears only when it
+is complete. A campaign can therefore continue after any interruption: it simulates the runs that have no file. If a file is
+damaged, its runs are simulated again.
 """
 
 import re
@@ -23,18 +24,20 @@ PART = re.compile(r"part-(\d{9})-(\d{9})\.parquet")
 
 
 class Store:
-    """The results folder of one campaign, used by one process at a time, or of a part of a campaign, used by any number.
+    """Results folder of a campaign, or of one part of a campaign.
+
+    Only one process at a time may use the folder of a campaign. Several processes may use the folder of a part.
 
     Attributes:
         folder: folder of the results.
         schema: columns of the results.
-        share: the runs whose rows the folder has in the end.
-        parts: complete files of batches by their first run, with the run after their last.
-        damaged: a sentence for each file that is not complete, and whose runs are run again.
+        share: numbers of the runs in the finished results, as ascending (start, stop).
+        parts: complete files of batches by the number of their first run; each has the number after its last run, and its path.
+        damaged: a sentence for each incomplete file, whose runs are simulated again.
     """
 
     def __init__(self, folder: Path, schema: pa.Schema, share: Runs) -> None:
-        """Opens a folder, and changes nothing in it."""
+        """Reads the state of a folder without changing the folder."""
         self.folder, self.schema, self.share = folder, schema, share
         self.parts: dict[int, tuple[int, Path]] = {}
         self.damaged: list[str] = []
@@ -49,22 +52,22 @@ class Store:
 
     @property
     def results(self) -> Path:
-        """Returns the file with all runs, which exists when all are done."""
+        """Path of the file with all runs, which exists when all runs are finished."""
         return self.folder / RESULTS
 
     @property
     def finished(self) -> bool:
-        """Returns True if all runs are done."""
+        """True if all runs are finished."""
         return self.results.exists()
 
     def tidy(self) -> None:
-        """Removes files that are not complete, and files of batches that are in the results already."""
+        """Removes incomplete files, and files of batches whose rows the finished results already contain."""
         for path in {*self.folder.glob("part-*")} - {path for _, path in self.parts.values()}:
             with suppress(OSError):
                 path.unlink()
 
     def missing(self) -> list[tuple[int, int]]:
-        """Returns the runs without a row, as ascending (start, stop)."""
+        """Returns the runs without a row as ascending intervals (start, stop)."""
         if self.finished:
             return []
         gaps, done = list[tuple[int, int]](), sorted(self.parts)
@@ -76,16 +79,16 @@ class Store:
 
     @property
     def runs(self) -> int:
-        """Returns the number of all runs."""
+        """Number of runs in the finished results."""
         return sum(stop - start for start, stop in self.share)
 
     @property
     def left(self) -> int:
-        """Returns how many runs have no row."""
+        """Number of runs that do not have a row yet."""
         return sum(stop - start for start, stop in self.missing())
 
     def write(self, start: int, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Adds the rows of the runs from `start` on.
+        """Adds the rows of consecutive runs, beginning with number `start`.
 
         Raises:
             InputError: the results cannot be written.
@@ -96,7 +99,7 @@ class Store:
         self.parts[start] = stop, path
 
     def finish(self) -> None:
-        """Joins all parts into one file, in the order of their runs, and removes them.
+        """Joins the files of all batches into one file, in the order of the runs, and removes the files of the batches.
 
         Raises:
             InputError: the file cannot be written.
@@ -106,7 +109,7 @@ class Store:
         try:
             table = self.read(self.schema.names)
         except InputError:
-            if self.finished:  # by another process that ran this part, and has removed its files
+            if self.finished:  # another process has finished this part meanwhile, and removed the files of its batches
                 return
             raise
         self._write(self.results, table.combine_chunks())
@@ -115,10 +118,10 @@ class Store:
         self.parts = {}
 
     def gather(self, stores: Iterable["Store"]) -> None:
-        """Writes the rows of all parts of the campaign into one file, in the order of their runs.
+        """Writes the rows of all parts of the campaign to one file, in the order of the runs.
 
         Raises:
-            InputError: a part cannot be read, has other rows than its share, or the file cannot be written.
+            InputError: a part cannot be read or contains the wrong runs, or the file cannot be written.
         """
         pieces: dict[int, pa.Table] = {}
         for store in stores:
@@ -133,16 +136,16 @@ class Store:
         self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns some columns of all rows so far.
+        """Returns the columns with these names, with all rows that exist so far.
 
         Raises:
-            InputError: a file is cut or empty, or another version wrote it, with other columns.
+            InputError: a file is damaged, or another version of Roadproof wrote it with other columns.
         """
         paths = [self.results] if self.finished else [self.parts[start][1] for start in sorted(self.parts)]
         return pa.concat_tables([_read(path, names) for path in paths] or [self.schema.empty_table().select(list(names))])
 
     def _has(self, path: Path, runs: Runs) -> bool:
-        """Returns True if a file is complete, and has these runs and all columns."""
+        """Returns True if a file is complete and contains these runs and all columns."""
         try:
             return _are_runs(_read(path, ["run"], self.schema.names), runs)
         except InputError:
@@ -154,14 +157,14 @@ class Store:
 
 
 def _are_runs(table: pa.Table, runs: Runs) -> bool:
-    """Returns True if the rows of a table are those of these runs, in order."""
+    """Returns True if the rows of a table belong to these runs, in the same order."""
     return np.array_equal(table["run"].to_numpy(), np.concatenate([np.zeros(0, int), *(np.arange(*some) for some in runs)]))
 
 
 def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.Table:
-    """Returns some columns of a file, which has them, and all `expected` ones."""
-    # Arrow opens the file: its threads release what they read, and one that releases memory of Python while the interpreter ends
-    # aborts the process. A path may have a colon, so it is not passed to ParquetFile, which would take it for an address.
+    """Returns the columns `names` of a file, and checks that the file also has the columns `expected`."""
+    # Arrow, not Python, opens the file: a thread of Arrow that releases memory of Python while the interpreter ends would abort
+    # the process. ParquetFile does not receive the path, because it takes a path with a colon for an address.
     with reading(path, "results", "remove it, and run the campaign again"), pa.OSFile(str(path)) as stream:
         file = pq.ParquetFile(stream)
         other = {*expected, *names} - {*file.schema_arrow.names}

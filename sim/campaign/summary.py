@@ -1,7 +1,7 @@
-"""Results of a campaign, controllers against roads, with the linear prediction; and ride against road holding, drawn.
+"""Summary of a campaign: tables by controller and road with linear predictions, and a figure of ride over road holding.
 
-With adjustable dampers a line shows what no damper that stays as it is can leave: all constant ones between their limits, as
-they are expected to do over the same roads. What lies below it on the left is worth its control.
+For a vehicle with semi-active dampers, a line in the figure shows the expected results of constant dampers over the same roads.
+The line begins at the softest damper. A controller below and left of this line is better than every constant damper.
 """
 
 import itertools
@@ -37,13 +37,13 @@ LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for o
 
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
+    """Returns the metrics of the table by name: ride, travel and dynamic load. The table shows the worst column of each."""
     headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
     return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
-    """Returns the scores of all controllers and variants by vehicle, over all other inputs of its runs, passive first."""
+    """Returns the scores of all candidates by vehicle, each over all of its runs. The passive vehicle comes first."""
     scores: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
@@ -58,15 +58,16 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
     return scores
 
 
-Scores = Mapping[str, Mapping[Candidate, Score]]  # by vehicle
+Scores = Mapping[str, Mapping[Candidate, Score]]  # vehicle: candidate: score
 
 
 def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Candidate | None]) -> list[str]:
-    """Returns a table of scores for each vehicle; of variants only those that have the least of something.
+    """Returns the printed lines of a table of scores for each vehicle. A variant appears only if it is best in some column.
 
     Args:
-        campaign: the campaign, whose random roads are measured from `settle` on.
-        chosen: a candidate of each vehicle that its table contains in any case.
+        campaign: the campaign. Runs over random roads are measured after its `settle` time.
+        scores: scores over all runs, see `compare`.
+        chosen: a candidate of each vehicle that its table always contains; None for no such candidate.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
     begins = f", random roads from {campaign.settle:g} s on (settle)" if settles else ""
@@ -76,7 +77,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
             counted = {who: one.value(each) for who, each in every.items() if one not in FORCES or who.controller != PASSIVE}
             shown.add(min((who for who in counted if counted[who] is not None), key=counted.__getitem__, default=None))
         there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
-        shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # all have broken off
+        shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # if all variants have broken off
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
@@ -85,13 +86,15 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
 
 
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
-    """Returns one entry per vehicle, road, speed and controller, over its variants, samples and seeds.
+    """Returns one entry per vehicle, road, speed and controller, over all variants, samples and seeds.
 
-    Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
-    square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
-    having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
-    a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. A law in Python has no
-    prediction; a run whose law failed has no metrics, either. A drawn law has the root mean squares of each variant, too.
+    For each metric of `headlines`, the entry contains the worst column with its root mean square and 95th percentile over the
+    runs. The entry also contains the root mean square of the prediction for the same runs. The prediction is the expected value
+    for random roads, and the linear response for other roads. Laws in Python have no prediction.
+
+    A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run broke off. Runs
+    that broke off have no metrics: neither their results nor their predictions count. Runs whose law failed have no metrics
+    either. For a sampled law, the entry also contains the root mean squares of each variant.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
     metrics = list(dict.fromkeys(one.name for kinds in lines.values() for some in kinds.values() for one in some))
@@ -129,16 +132,23 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
 
 def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
-    """Returns value over runs, 95th percentile and prediction of the worst of some metrics, over the runs that have metrics.
+    """Returns statistics of the worst of some metrics: value over all runs, standard error, 95th percentile and prediction.
 
-    A kind of vehicle may have no such column, as one without a suspension has no travel.
+    Runs without metrics do not count. All entries are None if the vehicle type has none of these columns: a vehicle without a
+    suspension, for example, has no travel.
+
+    Args:
+        columns: columns of the results by name, shape (count,) each.
+        metrics: metrics to compare.
+        some: numbers of the runs, shape (n,).
+        distances: measured distance of every run [m], shape (count,).
     """
     there = some[np.all([np.isfinite(columns[one.name][some]) for one in metrics], axis=0)] if metrics else some[:0]
     if not len(there):
         return {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
     over = {one: over_runs(one, columns[one.name][there], distances[there]) for one in metrics}
     worst = max(metrics, key=lambda one: over[one])
-    # A run over a random road has an expectation, one over another road its own linear response.
+    # The prediction is the expected value for a random road, and the linear response for any other road.
     predicted = [columns[f"{prefix}{worst.name}"][there] for prefix in (EXPECTED, LINEAR)]
     known = next((values for values in predicted if np.isfinite(values).all()), None)
     return {
@@ -151,13 +161,13 @@ def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: A
 
 
 def _standard_error(values: Array) -> float | None:
-    """Returns the standard error of a root mean square over runs, from the spread of their squares; None of a single run."""
+    """Returns the standard error of a root mean square over runs, from the variance of the squares; None for a single run."""
     rms = float(np.sqrt(np.mean(values**2)))
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
-Rides = tuple[str, Mapping[str, float | None]]  # a road at a speed, and the ride of each controller there
-Line = tuple[str, Mapping[str, Any]]  # one of `LINES`, and an entry
+Rides = tuple[str, Mapping[str, float | None]]  # text of road and speed, and the ride of each controller on this road
+Line = tuple[str, Mapping[str, Any]]  # key of `LINES`, and an entry of `summarise`
 STATISTICS = tuple(
     Field[Line](label, lambda row, key=key: row[1][row[0]][key], ".4g")
     for label, key in (("rms", "rms"), ("95 %", "p95"), ("predicted", "predicted"))
@@ -166,12 +176,18 @@ COUNTS = tuple(
     Field[Line](label, lambda row, key=key: row[1].get(key, 0), ".0f", key=key)
     for label, key in (("runs", "runs"), ("left linear", "left"), ("broke off", "broke_off"), ("failed", "failed"))
 )
-FEW = 3  # controllers whose runs are counted one by one
-SEEN = 6  # roads and speeds, and controllers, of a table of the ride
+FEW = 3  # largest number of controllers for which a sentence lists each count of runs
+SEEN = 6  # largest number of rows and of columns in the table of the ride
 
 
 def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
-    """Returns the ride by road where there are few, what left the linear regime, and in full the numbers of each road."""
+    """Returns the printed results: ride on each road (if there are few), runs that left the linear regime, and details.
+
+    The details, one table for each road and speed, are printed only with `-v`.
+
+    Args:
+        entries: entries of `summarise`.
+    """
     vehicles = [(vehicle, [*some]) for vehicle, some in itertools.groupby(entries, lambda entry: entry["vehicle"])]
     blocks: list[Block] = [] if len(vehicles) > 1 else _ride_table(entries)
     for vehicle, some in vehicles:
@@ -195,7 +211,7 @@ def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
 
 
 def _place(vehicle: str, road: str, speed: float, entries: Sequence[Mapping[str, Any]]) -> Document:
-    """Returns the numbers of all controllers on a road at a speed [m/s]."""
+    """Returns a table of all controllers on one road at one speed [m/s]."""
     title = f"{vehicle} over {road} at {speed:g} m/s"
     columns: tuple[Field[Line], ...] = (
         Field("metric", lambda row: LINES[row[0]]),
@@ -208,7 +224,10 @@ def _place(vehicle: str, road: str, speed: float, entries: Sequence[Mapping[str,
 
 
 def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
-    """Returns the ride of every controller on every road of a vehicle; nothing for a single road, or many of either."""
+    """Returns a table of the ride of a vehicle: a row for each road and speed, a column for each controller.
+
+    The result is empty for a single road, or if there are more than `SEEN` rows or columns.
+    """
     by_place: dict[str, dict[str, float | None]] = {}
     for entry in entries:
         by_place.setdefault(f"{entry['road']} at {entry['speed']:g} m/s", {})[entry["controller"]] = entry["ride"]["rms"]
@@ -221,7 +240,7 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Returns the counts of a controller's entries, summed, with the first reasons."""
+    """Returns the sum of the counts in a controller's entries, with the first reason and the first failure."""
     whole: dict[str, Any] = dict(entries[0])
     whole |= {one.key: sum(entry[one.key] for entry in entries) for one in COUNTS if one.key in whole}
     reasons = {key: [entry[key] for entry in entries if entry.get(key)] for key in ("first_reason", "first_failure")}
@@ -229,7 +248,7 @@ def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns sentences on the controllers of which runs broke off, and on those with a law in Python or an FMU."""
+    """Returns sentences about controllers with runs that broke off or failed, and about laws in Python and FMUs."""
     said = []
     for entry in entries:
         who = as_name(entry["controller"])
@@ -243,21 +262,24 @@ def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     return said
 
 
-CONSTANT = 25  # dampers on the line
-SOFTEST = 0.02  # of c_max, where c_min is less: next to no damper at all is none that anybody fits
+CONSTANT = 25  # number of constant dampers that define the line
+SOFTEST = 0.02  # smallest constant damping, relative to c_max; a softer damper would not be used in practice
 ACROSS, UP = "load", "ride"
 ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]"
 
 
 def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) -> Figure | None:
-    """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
+    """Returns a figure of ride over dynamic tyre load, both as root mean squares over the MuJoCo runs.
+
+    The figure has a panel for each road and speed, and a point for each vehicle, controller and variant.
 
     Args:
+        plan: runs of the campaign.
         entries: results of the campaign, see `summarise`.
         scores: scores over all runs, see `compare`.
 
     Returns:
-        None if no run has both metrics.
+        The figure; None if no run has both metrics.
     """
     campaign, several = plan.campaign, len(plan.campaign.vehicles) > 1
     own = {vehicle: f", {vehicle}" if several else "" for vehicle in campaign.vehicles}
@@ -298,13 +320,13 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Returns dynamic load and ride of a controller, or of each variant of its law, where there are both."""
+    """Returns the points (dynamic load, ride) of a controller, or of each variant of its law, if both numbers exist."""
     ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
     return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 
 
 def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
-    """Returns the bars of two standard errors through a controller's point, as one curve; none of a single run."""
+    """Returns error bars of two standard errors through a controller's point, as one curve; an empty list for a single run."""
     x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
     across, up = entry[ACROSS].get("standard_error"), entry[UP].get("standard_error")
     if across is None or up is None:
@@ -314,13 +336,20 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 
 
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
-    """Returns the expected dynamic load and ride of a vehicle at a speed [m/s].
+    """Returns the expected dynamic load and ride of a vehicle at a speed.
 
-    Nothing is expected over a road that is not random, of a vehicle whose parameters are sampled, or without adjustable dampers.
+    Both results are empty if the road is not random, the parameters of the vehicle are sampled, or the vehicle has no
+    semi-active dampers.
+
+    Args:
+        plan: runs of the campaign.
+        name: name of the vehicle.
+        road: text of the road.
+        speed: speed of the vehicle [m/s].
 
     Returns:
-        Points of adjustable dampers that stay as they are, softest first, shape (k, 2). Those of every linear law that is not
-        drawn, by name, as if every force were given that it requests.
+        Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name, as
+        if ideal actuators applied every requested force; controllers with a sampled law are omitted.
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)

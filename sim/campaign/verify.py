@@ -1,4 +1,4 @@
-"""Verification of a finished campaign's results: its gains, every row's inputs, and a sample of runs driven again."""
+"""Verification of finished campaign results: checks the gains and the inputs of every row, and repeats a sample of the runs."""
 
 import json
 import math
@@ -15,18 +15,23 @@ from sim.campaign.manifest import Gains
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 
-SAME, ROUNDING = 1e-9, 1e-12  # relative and absolute: how far another machine may move a number
+SAME, ROUNDING = 1e-9, 1e-12  # allowed relative and absolute difference between the results of two machines
 
 
 @one_thread()
 def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progress: Callable[[int], None]) -> dict[str, Any]:
-    """Checks a finished campaign; returns the number of rows, the runs that were driven again, and what differs, in words.
+    """Checks a finished campaign.
 
     Args:
-        plan: runs with the gains of the folder.
-        gains: gains of the folder.
-        count: number of runs that are driven again.
-        progress: function that receives the number of finished runs.
+        plan: runs with the gains of the results folder.
+        store: results of the campaign.
+        gains: gains of the results folder.
+        count: number of runs to repeat.
+        seed: seed of the random choice of these runs.
+        progress: function that receives the number of repeated runs.
+
+    Returns:
+        `rows`, the number of rows; `again`, the numbers of the repeated runs; `faults`, a sentence for each difference.
 
     Raises:
         InputError: the campaign is not finished.
@@ -51,7 +56,7 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
 
 
 def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
-    """Yields a sentence if there is not one row per run, in order, or on the first row whose inputs are not those of its run."""
+    """Yields a sentence if the rows are not one per run in order; otherwise, a sentence about the first row with wrong inputs."""
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
         few = f"the results have {len(table)} rows for {plan.count} runs"
         yield few if len(table) != plan.count else "the rows of the results are not in the order of the runs"
@@ -67,7 +72,14 @@ def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
 
 
 def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], where: str) -> Iterator[str]:
-    """Yields a sentence if a row has other values than are expected."""
+    """Yields a sentence if a row differs from the expected values.
+
+    Args:
+        run: name of the run in the sentence.
+        there: row of the results.
+        now: expected values.
+        where: origin of the expected values in the sentence.
+    """
     wrong = [name for name, value in there.items() if not _same(value, now.get(name))]
     if wrong:
         name, more = wrong[0], f"; {len(wrong) - 1} more columns differ" if len(wrong) > 1 else ""
@@ -75,7 +87,7 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
 
 
 def _same(there: Any, now: Any) -> bool:
-    """Returns True if two cells are equal, numbers to the rounding of other machines."""
+    """Returns True if two cells are equal. Numbers may differ by the rounding errors of another machine."""
     if isinstance(there, float) and isinstance(now, float):
         return math.isclose(there, now, rel_tol=SAME, abs_tol=ROUNDING)
     return there == now

@@ -1,4 +1,4 @@
-"""Who runs the batches of a campaign: threads of this machine, or the workers of a Ray cluster. The rows are the same."""
+"""Execution of the batches of a campaign, on threads of this machine or on a Ray cluster. Both give the same results."""
 
 import itertools
 import socket
@@ -15,9 +15,9 @@ from sim.campaign.batch import Rows, run_batch
 from sim.campaign.plan import Plan
 
 BatchResult = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
-ANSWER = 3.0  # s that a cluster's head may take to answer
+ANSWER = 3.0  # s, longest time until the head of a cluster answers
 TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
-RETRIES = 5  # of a batch whose Ray worker dies
+RETRIES = 5  # number of repetitions of a batch whose Ray worker dies
 
 
 @one_thread()
@@ -28,7 +28,10 @@ def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 
 def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Generator[BatchResult]:
-    """Runs batches on threads, and yields each when it is complete. MuJoCo and NumPy work outside Python's lock."""
+    """Runs batches on threads, and yields the result of each when it is complete.
+
+    Threads run in parallel, because MuJoCo and NumPy release Python's global interpreter lock.
+    """
     from models.common.children import kill_children
 
     def piece(batch: tuple[int, int]) -> Callable[[Callable[[], bool]], tuple[int, Rows | None, float]]:
@@ -42,10 +45,11 @@ def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Gener
 
 @contextmanager
 def cluster(address: str) -> Iterator[None]:
-    """A Ray cluster, joined for as long as the block lasts: `HERE` is one of this machine's cores, which ends with it.
+    """Connects to a Ray cluster while the context is active.
 
     Args:
-        address: `HERE`, `auto` for the cluster that this machine is part of, or HOST:PORT.
+        address: `HERE` for a temporary cluster of this machine's cores, `auto` for the cluster that this machine belongs to, or
+            HOST:PORT of the cluster's head.
 
     Raises:
         InputError: Ray is not installed, or there is no cluster at the address.
@@ -56,11 +60,11 @@ def cluster(address: str) -> Iterator[None]:
         raise InputError("--ray needs Ray; install it with: pip install -e '.[cluster]'") from error
     if address not in (HERE, "auto"):
         _check_address(address)
-    # Workers on this machine find the project where it is; other machines have it installed.
+    # Workers on this machine import Roadproof from its source folder; on other machines, Roadproof must be installed.
     environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent.parent)}}
     try:
         ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
-    except Exception as error:  # Ray raises what it likes, and what its tokens and versions say is no ConnectionError
+    except Exception as error:  # Ray raises many types of errors: wrong tokens or versions do not raise ConnectionError
         said = str(error).splitlines() or [type(error).__name__]
         raise InputError(f"--ray {address}: cannot connect to a Ray cluster ({said[0]}); {TOKEN}") from error
     try:
@@ -70,7 +74,7 @@ def cluster(address: str) -> Iterator[None]:
 
 
 def _check_address(address: str) -> None:
-    """Checks that a server listens at an address: Ray itself would look for it for minutes."""
+    """Checks that a server answers at an address, because Ray itself would try for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
         raise InputError(f"--ray {address}: this is not an address; give HOST:PORT of the cluster's head, or auto")
@@ -83,7 +87,7 @@ def _check_address(address: str) -> None:
 
 
 def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchResult]:
-    """Runs batches on the Ray cluster that is joined. A batch whose worker dies runs again."""
+    """Runs batches on the connected Ray cluster, and yields the result of each. If a worker dies, its batch is repeated."""
     import ray  # pyright: ignore[reportMissingImports] - an extra
 
     remote: Any = ray.remote(num_cpus=1, max_retries=RETRIES)(run_timed)
@@ -91,7 +95,8 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchRes
     try:
         while True:
             most = max(1, int(ray.cluster_resources().get("CPU", 1))) * AHEAD
-            for start, end in itertools.islice(batches, max(0, most - len(running))):  # a node may have gone
+            # The maximum is needed because `most` decreases if a node leaves the cluster.
+            for start, end in itertools.islice(batches, max(0, most - len(running))):
                 running[remote.remote(shared, start, end)] = start
             if not running:
                 return
@@ -112,7 +117,15 @@ def run_batches(
     use_ray: bool,
     write: Callable[[int, Rows, float], None],
 ) -> None:
-    """Runs batches wherever they are to run and hands their rows on, one batch at a time."""
+    """Runs batches and passes the rows of each batch to `write`.
+
+    Args:
+        plan: runs of the campaign.
+        batches: intervals (start, stop) of run numbers.
+        workers: number of threads on this machine.
+        use_ray: True to run on the connected Ray cluster instead.
+        write: function that receives the number of the first run, the rows, and the time that the batch took [s].
+    """
     with closing(on_ray(plan, batches) if use_ray else local(plan, batches, workers)) as results:
         for done in results:
             write(*done)

@@ -1,4 +1,4 @@
-"""Parts shared by commands that drive controllers: their choice, warnings, text, view and logs."""
+"""Functions shared by commands that simulate controllers: choice of controllers, warnings, printed text, viewer and logs."""
 
 import argparse
 import sys
@@ -30,14 +30,18 @@ if TYPE_CHECKING:
 def controllers_of(
     vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
 ) -> list[AnyController]:
-    """Returns the controllers of these names; no law in Python is run. One that cannot be designed is left out, with a warning.
+    """Returns the controllers with these names, without running any law in Python.
+
+    If a controller cannot be designed, this function omits it and prints a warning.
 
     Args:
-        design: designs a linear controller, see `runnable`.
-        exported: folder whose code drives one of them, or None.
+        vehicle: vehicle of the controllers.
+        names: names of the controllers.
+        design: function that designs a linear controller, see `runnable`.
+        exported: folder with exported code that replaces one of the controllers, or None.
 
     Raises:
-        InputError: no controller can be designed, the file of a law cannot be read, or the folder does not fit.
+        InputError: no controller can be designed, the file of a law cannot be read, or the exported code does not match.
     """
     drivers: list[AnyController] = []
     errors: dict[str, InputError] = {}
@@ -63,7 +67,7 @@ def controllers_of(
 
 
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
-    """Returns a function that designs a controller and refuses one whose law cannot be run at its sample period."""
+    """Returns a function that designs a controller by name, and raises InputError if it cannot run at its sample period."""
 
     def designed(name: str) -> Controller:
         controller = design(name)
@@ -74,31 +78,31 @@ def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: fl
 
 
 def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, list[str]]:
-    """Returns the requested controllers that are not driven as a JSON object; empty if all are."""
+    """Returns a JSON object that lists the requested controllers without a simulation; empty if all were simulated."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
 
 
 def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
-    """Warns on stderr of every controller whose certificate does not hold, or that misses its goals.
+    """Prints a warning to stderr for every controller whose certificate is invalid or that misses its goals.
 
-    Such a controller is driven all the same.
+    The command simulates these controllers nevertheless.
     """
     for one in controllers:
         if one.false_claims:
             complain(
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}); "
-                "the gain is used all the same; python -m synth --check explains this"
+                "the gain is used nevertheless; python -m synth --check explains this"
             )
         if missed := [promise.text for promise in one.specifications if not promise.holds]:
             complain(
                 f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}); it is "
-                "used all the same; python -m synth explains this"
+                "used nevertheless; python -m synth explains this"
             )
 
 
 def _first(claims: Sequence[str]) -> str:
-    """Returns the first of some claims, and the number of further ones."""
+    """Returns the text of the first claim and the number of further claims."""
     return f"{claims[0]}, and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -113,14 +117,18 @@ def record_command_runs(
     result: Callable[[], Mapping[str, Any]],
     measured: Response | None = None,
 ) -> dict[str, str | None]:
-    """Records the runs of a command by `record_runs`; returns None for every file without a folder.
+    """Records the runs of a command with `record_runs`.
 
     Args:
-        options: options from the command's parser, `--logs` among them.
-        controllers: names of those that were run.
+        options: options from the command's parser, including `--logs`.
+        vehicle: vehicle of the runs.
+        controllers: names of the simulated controllers.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
         result: function that returns the result for `--json`; called only if logs are written.
         measured: measured signals over the time of the runs, if any.
+
+    Returns:
+        Paths of the recorded files by type. All paths are None with `--no-logs`.
     """
     nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is None:
@@ -131,10 +139,10 @@ def record_command_runs(
 
 
 def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "MeasuredLog | None":
-    """Returns the log of `--beside` with the signals that vehicles have; None without that option.
+    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None without this option.
 
     Raises:
-        InputError: see `read_measured_log`, or an option that needs `--beside`.
+        InputError: the log cannot be read (see `read_measured_log`), or an option is given that needs `--beside`.
     """
     if options.beside is None:
         for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
@@ -156,10 +164,13 @@ def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "M
 def write_histories(
     options: argparse.Namespace, runs: Sequence[Run], where: str, measured: Response | None = None
 ) -> dict[str, Path | None]:
-    """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over".
+    """Writes the files of `--picture` and `--csv`; returns their paths by option name.
 
     Args:
-        measured: measured signals over the time of the runs, which the picture shows, too.
+        options: options from the command's parser.
+        runs: runs to draw and to write.
+        where: description of the road, as it follows "over" in the title of the picture.
+        measured: measured signals over the time of the runs, which the picture also shows.
     """
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
@@ -174,11 +185,12 @@ def write_histories(
 
 
 def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
-    """Returns lines with the recorded files and how to open them, or a line on several logs; empty if nothing was recorded.
+    """Returns the printed lines about recorded files and how to open them; empty if nothing was recorded.
 
     Args:
-        brief: True for no lines.
-        runs: runs that are recorded; for more than `FEW` of them only the files are printed, without an empty line above.
+        logs: recorded files by type, one mapping for each vehicle. For several vehicles, one line with the folder is returned.
+        brief: True to return no lines.
+        runs: recorded runs. For more than `FEW` runs, only the paths are returned, without an empty line and a heading.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
@@ -209,7 +221,7 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     """Shows a recording for `--open` or `--serve`, after flushing the output of the command.
 
     Raises:
-        InputError: the web viewer does not come up.
+        InputError: the viewer does not start.
     """
     recording = logs["rerun"]
     if recording is None or not (options.open or options.serve):
@@ -227,9 +239,10 @@ def run_named(
     time: Array,
     exported: Path | None = None,
 ) -> list[Run]:
-    """Returns a run of every requested controller that can be run, in their order. Warnings are printed first.
+    """Simulates the requested controllers over a road; returns the runs in the order of `names`.
 
-    Arguments and errors as for `controllers_of` and `run_controllers`.
+    Controllers that cannot be designed are omitted. Warnings are printed before the runs start. Arguments and errors are those
+    of `controllers_of` and `run_controllers`.
     """
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
     warn_invalid_certificates(controllers)
@@ -237,10 +250,14 @@ def run_named(
 
 
 def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
-    """Returns the lines on runs above the table: claims and warnings of few controllers, and why a run fails or diverges.
+    """Returns the printed lines about runs, above the table that compares the controllers.
+
+    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
+    reasons why a run fails or diverges.
 
     Args:
-        passive: MuJoCo's response of the passive vehicle for `-v`, which prints every run in full; None for the short answer.
+        runs: runs of one or more controllers.
+        passive: MuJoCo's response of the passive vehicle for `-v`, which prints every run in full; None for the short text.
     """
     if passive is not None:
         documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]

@@ -1,4 +1,4 @@
-"""The common part of `sim.bump` and `sim.drive`: controllers of vehicles over one road, in MuJoCo and in analysis."""
+"""The part that `sim.bump` and `sim.drive` share: simulate controllers over one road, and compare with linear analysis."""
 
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -39,10 +39,10 @@ class VehicleRuns:
 
     Attributes:
         vehicle: vehicle of the file.
-        title: title of the answer; empty if it is the only one.
+        title: title of the vehicle in printed results; empty if there is only one vehicle.
         names: requested controllers.
-        runs: runs of the implemented controllers, then of those without a part of the vehicle.
-        without: omitted part for each run; empty as implemented.
+        runs: runs with the whole vehicle file, then the runs in which a part of the vehicle is omitted (`--without`).
+        without: omitted part for each run, such as noise; empty for runs with the whole vehicle file.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
         fits: comparison of each run with a measured log; empty without a log.
@@ -59,12 +59,12 @@ class VehicleRuns:
 
     @property
     def implemented_runs(self) -> list[Run]:
-        """The runs of the implemented loops."""
+        """The runs with the whole vehicle file, in which no part is omitted."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
     def named_runs(self) -> list[Run]:
-        """The runs with the names that they have in the answer."""
+        """The runs, each with its name in the printed results."""
         pairs = zip(self.runs, self.without, strict=True)
         return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
 
@@ -74,7 +74,7 @@ class VehicleRuns:
 
     @property
     def objects(self) -> list[dict[str, Any]]:
-        """The runs as JSON objects, with vehicle and part if there are several."""
+        """The runs as JSON objects. The title of the vehicle and the omitted part are included if they are not empty."""
         return [
             RUN(run)
             | {"half_step": run.half_step and HALF_STEP(run.half_step)}
@@ -87,7 +87,7 @@ class VehicleRuns:
 def _rename_run(run: Run, name: str) -> Run:
     if run.controller.name == name:
         return run
-    controller: Any = run.controller  # each kind of driver is a dataclass with a name
+    controller: Any = run.controller  # all driver classes are dataclasses with a field `name`
     return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))
 
 
@@ -98,12 +98,12 @@ def drive(
 
     Args:
         options: options from the command's parser.
-        road_of: returns the requested road under a vehicle at its sample times [s].
-        where: function that describes the road in words.
-        rides: True to measure the ride, and the response to a step.
+        road_of: function that returns the requested road for a vehicle, the options and the sample times [s].
+        where: function that returns a text that describes the road.
+        rides: True to measure the ride, and the step response if the road is a step.
 
     Raises:
-        InputError: bad options, vehicle file, road or logs folder.
+        InputError: an option, a vehicle file, the road or the logs folder is invalid.
     """
     vehicles = read_vehicles(options)
     names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
@@ -117,7 +117,7 @@ def drive(
             complain(remark)
     comparison.check_view(options)
     log = comparison.measured_log(options, vehicles.values())
-    texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # of sim.drive
+    texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # options of sim.drive
     files = [*(file for vehicle in vehicles.values() for file in vehicle.files), *named_files(texts)]
     files += [options.beside] if log else []
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
@@ -208,10 +208,13 @@ def drive(
 
 
 def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
-    """Returns the vehicles of `--vehicle` by title: empty for one, else the name of the file, or its path if names are equal.
+    """Returns the vehicles of `--vehicle` by title.
+
+    The title of a single vehicle is empty. For several vehicles, the title is the file name, or the path if two file names are
+    equal.
 
     Raises:
-        InputError: a vehicle file, or one that is given twice.
+        InputError: a vehicle file cannot be read or is given twice.
     """
     given = options.vehicles
     vehicles = [with_start(print_remarks(read_vehicle(file)), vars(options).get("start", ())) for file in given]
@@ -240,7 +243,7 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
 
 
 def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> VehicleRuns:
-    """Runs the controllers of a vehicle file, and those of `--without`."""
+    """Simulates the controllers of a vehicle file, with all parts of the vehicle and with each part of `--without` omitted."""
     design = Designer(vehicle, search=False).design
     runs = list(comparison.run_named(vehicle, names, design, road, time, options.exported))
     drivers, parts = {run.controller.name: run.controller for run in runs}, [""] * len(runs)
@@ -253,7 +256,11 @@ def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list
 
 
 def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float | None]) -> dict[str, Any]:
-    """Returns the result of a vehicle for its log and JSON, with its ride between two times [s], the last None for the end."""
+    """Returns the result of a vehicle for its log and for `--json`.
+
+    Args:
+        measured: first and last time of the ride measurement [s]; a last time of None is the end of the run.
+    """
     road, time = each.runs[0].road, each.runs[0].prediction.time
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
     if each.metrics:
@@ -273,10 +280,10 @@ def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float 
 
 
 def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end: float) -> list[str]:
-    """Returns the lines above the table: with `-v` every run in full, else what is special about some.
+    """Returns the printed lines above the table of controllers: every run in full with `-v`, otherwise only special findings.
 
     Args:
-        start, end: times between which the ride is measured [s].
+        start, end: first and last time of the ride measurement [s].
     """
     shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
     lines = list[str]()

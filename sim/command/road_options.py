@@ -1,4 +1,4 @@
-"""Options of commands that drive over one road, and the road that they request."""
+"""Command-line options for a run over one road, and the functions that build the requested road from them."""
 
 import argparse
 import math
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def add_vehicles(parser: Parser) -> None:
-    """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
+    """Adds `--controller`, `--vehicle` and `--without`. Each may be given several times."""
     parser.add_controller_and_vehicle("required", several="results of all vehicles are in one table")
     parser.add_argument(
         "--without",
@@ -40,14 +40,14 @@ def add_start(parser: Parser) -> None:
         action="append",
         default=[],
         metavar="STATE=VALUE",
-        help="start from another state than rest: a state of the vehicle's linear model, as in suspension_deflection=20mm, or "
-        "height=50mm, which lifts the whole vehicle for a drop test; may be repeated. With --road flat the frequencies and "
+        help="initial state instead of equilibrium: a state of the vehicle's linear model, as in suspension_deflection=20mm, or "
+        "height=50mm, which lifts the whole vehicle for a drop test; may be repeated. With --road flat, the frequencies and "
         "damping ratios of the free decay are printed",
     )
 
 
 def with_start(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
-    """Returns the vehicle with the start of `--start`, or of its file without one."""
+    """Returns the vehicle with the initial state of `--start`; the vehicle itself if `texts` is empty."""
     if not texts:
         return vehicle
     start = dict[str, float | str]()
@@ -67,22 +67,28 @@ def with_start(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
 
 
 def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: Sequence[str]) -> list[str]:
-    """Returns a vehicle's controllers that are not among the chosen ones; empty if the user chose some.
+    """Returns the controllers of a vehicle that a command omits by default; empty if the user chose controllers.
 
     Args:
+        vehicle: vehicle of the controllers.
         given: values of `--controller`.
-        names: names of the chosen controllers.
+        names: names of the controllers that the command uses.
     """
     return [] if given else [name for name in vehicle.controller_names if name not in names]
 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
-    """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted."""
+    """Returns a line that lists the omitted controllers and explains how to include them; an empty list if none is omitted."""
     return [f"not simulated: {', '.join(names)}; add one with --controller NAME, or all with --controller {ALL}"] if names else []
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
-    """Adds `--duration` with its default [s], `--timestep`, `--as`, and the options of logs, viewers and output."""
+    """Adds `--duration`, `--timestep`, `--as`, and the options for logs, viewers and output.
+
+    Args:
+        parser: parser of the command.
+        duration: default of `--duration` [s].
+    """
     parser.add_exported()
     parser.add_number("--duration", duration, "s", "duration of the run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
@@ -112,7 +118,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
 
 
 def add_measured(parser: Parser) -> None:
-    """Adds `--beside`, a measured log to compare with the runs, and its options."""
+    """Adds `--beside`, the file of a measured log to compare with the runs, and the options that describe this log."""
     parser.add_argument(
         "--beside",
         type=Path,
@@ -125,7 +131,7 @@ def add_measured(parser: Parser) -> None:
         action="append",
         default=[],
         metavar="SIGNAL=HEADING",
-        help="column of a signal that has another name in the log; may be repeated",
+        help="heading of the column with a signal, if it is not the name of the signal; may be repeated",
     )
     parser.add_number("--beside-start", None, "s", "time of the log at which the runs start", "largest correlation")
     parser.add_number("--beside-rate", None, "Hz", "sample rate of a log without a column of time", "column of time")
@@ -135,7 +141,7 @@ def add_measured(parser: Parser) -> None:
 
 
 def add_road(parser: Parser, default: str) -> None:
-    """Adds `--class` with its default in words, `--seed`, `--road`, `--from` and `--speed`."""
+    """Adds `--class`, `--seed`, `--road`, `--from` and `--speed`. `default` is the printed default of `--class`."""
     parser.add_argument(
         "--class",
         dest="road_class",
@@ -148,14 +154,23 @@ def add_road(parser: Parser, default: str) -> None:
         "--from",
         None,
         "m",
-        "start of the vehicle on a road from a file, in metres even if the file uses another unit",
+        "position on a road from a file at which the vehicle starts, in metres even if the file uses another unit",
         "first point",
     )
     parser.add_number("--speed", 20.0, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
-    """Returns the requested road, if it can be driven."""
+    """Returns the requested road.
+
+    Args:
+        vehicle: vehicle that drives over the road.
+        options: options from the command's parser.
+        time: sample times of the run [s], shape (T,).
+
+    Raises:
+        InputError: options contradict each other, or the vehicle cannot be driven over this road.
+    """
 
     choice = FEATURES.load("roads by name").choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(FEATURES.load("loads by name").choose_load, options.loads)))
@@ -170,7 +185,10 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 
 def gaps(road: "Road", duration: float) -> list[str]:
-    """Returns a remark on the points of a road from a file that are driven in a time [s]: a wide gap, or heights of no road."""
+    """Returns remarks about the points of a road from a file: a wide gap, or heights that are implausible for a road.
+
+    Only the part of the road that is driven within `duration` [s] is checked.
+    """
     from models.roads.road import Departure
 
     felt = road.from_start
@@ -183,25 +201,30 @@ def gaps(road: "Road", duration: float) -> list[str]:
 
 
 def starts_later(options: argparse.Namespace) -> bool:
-    """True if the vehicle is to start later on a road from a file than at its first point."""
+    """Returns True if the vehicle starts after the first point of a road from a file."""
     file = FILE.fullmatch(split_off(road_text(options))[0])
     return file is not None and ":from=" in file["settings"]
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:
-    """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
+    """Returns printed lines about a road from a file that is shorter or longer than the run; empty if their lengths are equal.
+
+    Args:
+        road: road of the run.
+        duration: duration of the run [s].
+    """
 
     ends = road.duration
     if road.points is None or math.isclose(ends, duration, rel_tol=FEATURES.load("ride of a run").NEARLY):
         return []
     if ends > duration:
         return wrap_text(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")
-    lower = f"the points of the road end at {rough(ends)} s of {duration:g} s. The straight road after them lowers every rms"
-    return wrap_text(f"{lower}; --duration {rough(ends)} ends the run at the road's last point")
+    lower = f"the road has points for {rough(ends)} s of the {duration:g}-s run. The straight road after that lowers every rms"
+    return wrap_text(f"{lower} value; --duration {rough(ends)} ends the run at the road's last point")
 
 
 def road_text(options: argparse.Namespace) -> str:
-    """Returns the text of the requested road."""
+    """Returns the requested road as text in the syntax of `--road`, from `--class`, `--road` and `--from`."""
     if (start := vars(options)["from"]) is not None:
         road, loads = split_off(options.road or "")
         if (named_file(road) or ("", ""))[1] != "profile":

@@ -1,4 +1,8 @@
-"""The command of any study: reads the vehicle, designs, runs, writes files and logs, and prints text or JSON."""
+"""The command of any study.
+
+The command reads the vehicle, designs the controllers, runs the study, writes files and logs, and prints text or JSON. The
+studies themselves are subclasses of `sim.studies.study.Study`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +24,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     """Runs the command of a study; returns its exit code.
 
     Raises:
-        InputError: bad options, vehicle file or output file, or a controller that the study refuses.
+        InputError: an option, the vehicle file or an output file is invalid, or the study does not support a controller.
     """
     one = STUDIES.load(name)(name)
     parser = Parser(command_of(name), one.description, one.epilog, one.page)
@@ -78,7 +82,10 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
 
 
 def _designed_controllers(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
-    """Returns the requested controllers: several of any kind, or the single one of a study that needs a linear law."""
+    """Returns the requested controllers.
+
+    If `several` is False, the study needs a single linear controller. Otherwise, the controllers can be of any type.
+    """
     from sim.command.comparison import controllers_of, runnable
     from synth.vehicle.designer import Designer
 

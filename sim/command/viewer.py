@@ -1,4 +1,4 @@
-"""Rerun's viewer on a recording: its window, or its web page on this machine alone, which ends with the command."""
+"""Rerun's viewer for a recording: a window, or a web page that only this machine can open and that ends with the command."""
 
 import importlib.util
 import os
@@ -20,28 +20,28 @@ from models.common.printed import shell_line
 
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
-STARTING_TIME = 60.0  # s that the web viewer may take until it answers
-FAILING_TIME = 2.0  # s within which a window that cannot open has said so
-ENDING_TIME = 3.0  # s that it may take to end before it is killed
+STARTING_TIME = 60.0  # s, longest time until the web viewer answers
+FAILING_TIME = 2.0  # s, time after which the viewer counts as started if its process has not ended
+ENDING_TIME = 3.0  # s, longest time until the process ends after a signal; then it is killed
 
 
 def check_display() -> None:
-    """Ask before a long run.
+    """Checks that a window can open. Commands call this function before a long run.
 
     Raises:
-        InputError: there is no screen on which a window could open.
+        InputError: no display is available.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--open needs a screen, but DISPLAY and WAYLAND_DISPLAY are not set; use --serve, and open its page")
 
 
 def open_viewer(recording: Path) -> None:
-    """Starts the viewer on a recording and leaves it to the user: it stays when the command ends.
+    """Opens a recording in the viewer. The window stays open when the command ends.
 
     Raises:
-        InputError: no window opens; the message has the viewer's own reason.
+        InputError: no window opens; the message contains the reason that the viewer prints.
     """
-    with tempfile.TemporaryFile() as said:  # a pipe would break under the viewer when the command ends
+    with tempfile.TemporaryFile() as said:  # a file, because a pipe would close when the command ends
         command = [*_command(), "--bind", LOOPBACK, "--port", "auto", str(recording)]
         try:
             process = subprocess.Popen(
@@ -50,7 +50,7 @@ def open_viewer(recording: Path) -> None:
         except OSError as error:
             raise InputError(f"--open: {command[0]} cannot be started ({error.strerror or error}); install rerun-sdk") from error
         with suppress(subprocess.TimeoutExpired):
-            if process.wait(FAILING_TIME):  # closed at once by the user, it ends with 0
+            if process.wait(FAILING_TIME):  # if the user closes the window immediately, the exit code is 0
                 said.seek(0)
                 raise InputError(
                     f"--open: Rerun's window did not open ({_reason(said.read())}); use --serve, and open the printed page. "
@@ -59,25 +59,25 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """Returns the last line of a program's output, without colours, as a reason."""
+    """Returns the last line of a program's output, without colour codes, as the reason of its failure."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 
 
 def serve_viewer(recording: Path) -> None:
-    """Serves the web viewer on a recording until Ctrl-C or SIGTERM, and leaves no process behind.
+    """Serves a recording in the web viewer until Ctrl-C or SIGTERM, and then ends the viewer's process.
 
-    Says on stderr where it is, as stdout is for the result.
+    The address is printed to stderr, because stdout is reserved for the result of the command.
 
     Raises:
-        InputError: the viewer does not start.
+        InputError: the viewer does not start, or ends by itself.
     """
     page, data = _free_ports(2)
     ports = ["--bind", LOOPBACK, "--web-viewer-port", str(page), "--port", str(data)]
     command = [*_command(), "--serve-web", *ports, str(recording)]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it, too, ends the web viewer
-    process = subprocess.Popen(  # in a session that Ctrl-C does not reach
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM has the same effect as Ctrl-C
+    process = subprocess.Popen(  # in a new session, so that Ctrl-C does not reach the viewer itself
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
     try:
@@ -96,7 +96,10 @@ def serve_viewer(recording: Path) -> None:
 
 
 def _command() -> list[str]:
-    """Rerun's own program, of the package that wrote the recording; without its Python wrapper, which would end without it."""
+    """Returns the command that starts Rerun's viewer: the executable of the installed package, otherwise `rerun`.
+
+    The executable is started directly. If its Python wrapper were terminated, the viewer itself would continue.
+    """
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or not spec.submodule_search_locations:
         return ["rerun"]
@@ -106,7 +109,7 @@ def _command() -> list[str]:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Returns free ports, as several commands may serve at the same time."""
+    """Returns numbers of free ports, so that several commands can serve recordings at the same time."""
     sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
     ports = [one.getsockname()[1] for one in sockets]
     for one in sockets:
@@ -115,7 +118,11 @@ def _free_ports(count: int) -> list[int]:
 
 
 def _wait_until_up(process: subprocess.Popen, address: str) -> None:
-    """Waits until a page answers."""
+    """Waits until the viewer's page answers.
+
+    Raises:
+        InputError: the process ends, or the page does not answer within `STARTING_TIME`.
+    """
     deadline = time.monotonic() + STARTING_TIME
     while time.monotonic() < deadline and process.poll() is None:
         try:

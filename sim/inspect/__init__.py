@@ -1,1 +1,1 @@
-"""Does a log still prove what it claims; without any solver."""
+"""Check of a log: repeats the logged runs, and compares signals, results and certificates. No solver is needed."""

@@ -1,4 +1,4 @@
-"""`python -m sim.inspect`: what logs are, and whether they still prove what they claim; each from the log alone."""
+"""`python -m sim.inspect`: repeats logged runs from the content of each log, and checks whether the log proves its claims."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, or a single file that is not a log of Roadproof.
+        InputError: an option is invalid, or the only file is not a log of Roadproof.
     """
     options = _parser().parse_args(arguments)
     from models.document.outputs import check_outputs
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path in paths:
         try:
             proof = prove(read_log(path), kinds)
-        except InputError as error:  # the other logs are inspected all the same
+        except InputError as error:  # the command continues with the other logs
             if alone:
                 raise
             code = 2

@@ -1,4 +1,4 @@
-"""Findings about a log: claims that hold or fail, and differences of numbers from recomputed ones."""
+"""Findings about a log: claims that hold or fail, and differences between logged and recomputed numbers."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -11,13 +11,13 @@ from sim.drive.response import Response
 from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
-SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
-# Older logs may lack these; the last two are of vehicles with characteristics.
+SAME = 1e-6  # allowed relative difference of a derived number between machines and versions of NumPy
+# Keys that older logs may lack. Only vehicles with nonlinear springs or dampers have the last two.
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
-OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}  # keys of older logs alone, or of a law that a replay does not run
-DIFFERENCES = {"half_step", "code_difference"}  # of two runs that may each be `SAME` of a peak off, and so may they
-LESS = {"residual", "allowed"}  # of an energy balance, which older versions computed with more rounding
-HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
+OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}  # keys of older logs, or of laws that a replay does not run
+DIFFERENCES = {"half_step", "code_difference"}  # differences of two runs relative to a peak, with the absolute tolerance `SAME`
+LESS = {"residual", "allowed"}  # parts of an energy balance, which older versions computed with larger rounding errors
+HUGE = 1e150  # a linear response above this value is unstable, and its square overflows
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Finding:
     """Result of the check of one claim.
 
     Attributes:
-        part: subject of the claim.
-        verdict: verdict, one of `HOLDS`, `FAILS`, `MISSING` (its proof is absent), `NOTE` (there was nothing to prove).
-        text: the result in words.
+        part: subject of the claim, such as "certificate".
+        verdict: `HOLDS`, `FAILS`, `MISSING` (the log does not contain the proof) or `NOTE` (there is nothing to prove).
+        text: printed text of the result.
     """
 
     part: str
@@ -36,13 +36,15 @@ class Finding:
 
     @property
     def proved(self) -> bool:
-        """Returns True if there is nothing wrong."""
+        """True if the claim holds or there is nothing to prove."""
         return self.verdict in (HOLDS, NOTE)
 
 
 def largest_difference(logged: Response, again: Response) -> tuple[float, str]:
-    """Returns the largest difference between logged and recomputed response, over the peak of each signal, and that signal's
-    name; infinite if a logged number is not finite.
+    """Returns the largest difference between a logged and a recomputed response, and the name of its signal.
+
+    Each difference is relative to the peak of its signal. It is infinite if a logged number is not finite. Samples after the
+    recomputed response exceeds `HUGE` are not compared.
     """
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
@@ -56,7 +58,7 @@ def largest_difference(logged: Response, again: Response) -> tuple[float, str]:
 
 
 def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yields every number, text and empty container of a JSON value, with its path."""
+    """Yields the numbers, texts and empty containers of a JSON value, each with its path, such as `runs.0.energy`."""
     if not isinstance(value, (Mapping, list)) or not value:
         yield path, value
         return
@@ -65,7 +67,7 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def different(said: Any, now: Any) -> Iterator[str]:
-    """Yields the paths at which a JSON value differs from the recomputed one, numbers by more than `SAME`, relative."""
+    """Yields the paths at which a JSON value differs from the recomputed value. Numbers may differ by `SAME`, relatively."""
     there, here = dict(leaves(said)), dict(leaves(now))
     for path, value in here.items():
         keys = {*path.split(".")}
@@ -85,5 +87,5 @@ def _equal(said: Any, now: Any, absolute: float) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Returns True for a number of JSON."""
+    """Returns True for a JSON number. True and False are not numbers."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -1,6 +1,6 @@
-"""A log of ours, read back: the claims about each of its runs, and its responses.
+"""Reading of a log: the claims about each run, and its responses.
 
-The reverse of `sim.recording.mcap_writer` and `sim.recording.run_records`, which name the topics and the claims.
+`sim.recording.mcap_writer` and `sim.recording.run_records` write the log and define its topics and claims.
 """
 
 import json
@@ -24,7 +24,7 @@ GIVE = "give an .mcap file that a Roadproof command wrote"
 
 
 class Part(dict[str, Any]):
-    """Part of a log by name; an InputError names what is missing."""
+    """Dictionary with a part of a log. A missing key raises InputError with the name of this key."""
 
     def __missing__(self, key: str) -> NoReturn:
         raise InputError(f"the log has no {key!r}")
@@ -32,12 +32,12 @@ class Part(dict[str, Any]):
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A response in a log.
+    """A logged response.
 
     Attributes:
         names: names of the S signals.
         times: times of the samples [ns], shape (T,).
-        values: shape (T, S).
+        values: signals in SI units, a row per sample and a column per signal, shape (T, S).
     """
 
     names: tuple[str, ...]
@@ -47,12 +47,12 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """A run in a log.
+    """A logged run.
 
     Attributes:
         name: name of the run.
-        claims: metadata as text, by key, see `sim.recording.run_records.run_log`.
-        responses: responses that the log contains, by their names in `RESPONSES`.
+        claims: metadata of the run as text, by key; see `sim.recording.run_records.run_log`.
+        responses: logged responses by name, see `RESPONSES`.
     """
 
     name: str
@@ -60,20 +60,20 @@ class RecordedRun:
     responses: Mapping[str, Samples]
 
     def claim(self, key: str) -> Any:
-        """Returns the claim of a key that holds JSON."""
+        """Returns the value of a claim whose text is JSON."""
         return json.loads(self.claims[key])
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A log.
+    """Content of a log file.
 
     Attributes:
         path: path of the file.
-        metadata: metadata of the whole log, as text by key.
+        metadata: metadata of the whole log as text, by key.
         attachments: contents of the attachments, by name.
         runs: runs in the order of the file.
-        messages: number of messages, in all channels.
+        messages: total number of messages in all channels.
     """
 
     path: Path
@@ -84,20 +84,21 @@ class Log:
 
     @property
     def timestep(self) -> float:
-        """Returns the timestep of its runs [s]."""
+        """Timestep of the runs [s]."""
         return float(self.metadata["timestep"])
 
     @property
     def versions(self) -> dict[str, str]:
-        """Returns the versions of the packages that wrote it."""
+        """Versions of the packages that wrote the log, by name."""
         return json.loads(self.metadata.get("versions", "{}"))
 
 
 def read_log(path: Path) -> Log:
-    """Reads a log; the MCAP library compares the checksums of its chunks, attachments and data.
+    """Reads a log. The MCAP library checks the checksums of its chunks, attachments and data.
 
     Raises:
-        InputError: the file cannot be read, is not MCAP, is damaged, has another version, or was not written by Roadproof.
+        InputError: the file cannot be read, is not an MCAP file, is damaged, has another format version, or was not written by
+            Roadproof.
     """
     from mcap.records import Attachment, Channel, Message, Metadata, Schema
     from mcap.stream_reader import StreamReader
@@ -130,7 +131,7 @@ def read_log(path: Path) -> Log:
 
 
 def _samples(schema: Any, messages: list[Any]) -> Samples:
-    """Returns the messages of a topic as numbers. `mcap_writer` writes every field of every message, in order."""
+    """Returns the messages of a topic as numbers. `mcap_writer` writes all fields of each message, in the same order."""
     fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
     times = np.array([message.log_time for message in messages], dtype=np.int64)
     tags = [1 if field.number < 16 else 2 for field in fields]  # bytes before each number

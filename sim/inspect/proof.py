@@ -1,4 +1,4 @@
-"""Proof of a log: its runs are made again, and responses, certificates and claims are compared."""
+"""Check of a log: its runs are repeated, and responses, certificates and claims are compared with those in the log."""
 
 import json
 import math
@@ -41,10 +41,10 @@ from synth.controller.report import (
     notes_on_sampled_loop,
 )
 
-PREDICTED_KEY = "rounding"  # of exported code, in results of earlier versions: it is measured now
-REPLAY_TOLERANCE = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
-OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `check_certificate` checks
-WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # what numbers and keys that are not a run's come to
+PREDICTED_KEY = "rounding"  # key of exported code in results of earlier versions, ignored; today the rounding is measured
+REPLAY_TOLERANCE = 1e-7  # allowed difference between MuJoCo runs on two machines, relative to the peak of a signal
+OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `_check_certificate` checks
+WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # errors that invalid numbers or keys of a run cause
 GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with python -m synth"
 EARLIER = "an earlier version with other numbers for semi-active laws wrote the log; inspect the log with that version"
 NOT_RUN = "the attached law was not executed; the logged forces were applied"
@@ -52,12 +52,12 @@ NOT_RUN = "the attached law was not executed; the logged forces were applied"
 
 @dataclass(frozen=True, eq=False)
 class InspectedRun:
-    """A run of a log, checked.
+    """Result of the check of a logged run.
 
     Attributes:
         recorded_run: the run in the log.
-        findings: findings about every claim.
-        again: the run made again, or None if that was not possible.
+        findings: findings about all claims of the run.
+        again: the repeated run; None if the run could not be repeated.
     """
 
     recorded_run: RecordedRun
@@ -67,13 +67,13 @@ class InspectedRun:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """A log, checked.
+    """Result of the check of a log.
 
     Attributes:
-        log: log that was read.
-        vehicle: vehicle of the attached file, or None.
-        findings: findings about the file as a whole.
-        runs: runs of the log.
+        log: the log.
+        vehicle: vehicle of the attached vehicle file; None if this file cannot be read.
+        findings: findings about the whole log.
+        runs: checked runs of the log.
     """
 
     log: Log
@@ -83,23 +83,24 @@ class Proof:
 
     @property
     def broken(self) -> list[str]:
-        """Returns the parts of which something is not proved."""
+        """Parts of the log with a claim that fails or is not proved, such as "certificate of I"."""
         wrong = [f"the {one.part}" for one in self.findings if not one.proved]
         wrong += [f"{one.part} of {run.recorded_run.name}" for run in self.runs for one in run.findings if not one.proved]
         return list(dict.fromkeys(wrong))
 
     @property
     def holds(self) -> bool:
-        """Returns True if the log proves everything that it claims."""
+        """True if the log contains a run and proves all its claims."""
         return bool(self.runs) and not self.broken
 
 
-@np.errstate(all="ignore")  # an unstable loop overflows
+@np.errstate(all="ignore")  # the signals of an unstable loop overflow
 def prove(log: Log, kinds: Path | None = None) -> Proof:
-    """Checks a log.
+    """Checks all claims of a log.
 
     Args:
-        kinds: folder of vehicle types of the user's own; see `recorded_vehicle`.
+        log: log to check.
+        kinds: folder of custom vehicle types, see `recorded_vehicle`.
     """
     findings = [Finding("file", HOLDS, f"{log.messages} messages, all checksums are correct")]
     findings += [] if log.runs else [Finding("runs", MISSING, "the log contains no run")]
@@ -112,7 +113,7 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
 
 
 def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> InspectedRun:
-    """Checks every claim of one run. A step that fails ends what depends on it."""
+    """Checks all claims of one run. If a check fails, the checks that depend on it are omitted."""
     try:
         own = with_implementation_of(vehicle, recorded)
         controller = recorded_controller(log, own, recorded)
@@ -143,7 +144,7 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> InspectedRun:
 
 
 def _findings(part: str, check: Iterator[Finding]) -> list[Finding]:
-    """Returns the findings of a check; an error that stops it is one, too."""
+    """Returns the findings of a check. If the check raises an error, the only finding is this error."""
     try:
         return list(check)
     except WRONG as error:
@@ -151,9 +152,12 @@ def _findings(part: str, check: Iterator[Finding]) -> list[Finding]:
 
 
 def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: RecordedRun, h: float) -> Iterator[Finding]:
-    """Checks the certificate from the law and its proof, and the norm of the loop as implemented.
+    """Checks the logged certificate against the control law and its proof, and checks the norm of the implemented loop.
 
     Args:
+        vehicle: vehicle with the implementation of the run.
+        controller: controller of the run.
+        recorded: the run in the log.
         h: timestep of the run [s].
     """
     certificate, record = controller.certificate, recorded.claim("certificate")
@@ -182,7 +186,7 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
 
 
 def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iterator[Finding]:
-    """Compares the logged responses with the new ones: MuJoCo's, the sampled and the continuous one, road included."""
+    """Compares the logged responses with those of the repeated run: MuJoCo, sampled and continuous, including the road."""
     states, end = controller_states(run.controller), run.broke_off[1] if run.broke_off else math.inf
     new = {MUJOCO: physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
     new = {topic: response for topic, response in new.items() if topic == MUJOCO or not np.isnan(response.values).all()}
@@ -207,7 +211,7 @@ def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iter
 
 
 def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
-    """Compares the claims of a run with those that its replay makes."""
+    """Compares the claims of a logged run with the claims of the repeated run."""
     claims, _ = claims_of(run)
     now = json.loads(json.dumps({key: value for key, value in claims.items() if key not in OF_CERTIFICATE}))
     logged = {
@@ -220,7 +224,10 @@ def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
 
 
 def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
-    """Compares this run in the attached result of the command, if the result is of the logged runs alone."""
+    """Compares the entry of this run in the attached result.json with the repeated run.
+
+    The comparison is omitted if result.json depends on runs that the log does not contain.
+    """
     result, command = json.loads(log.attachments["result.json"]), log.metadata.get("command", "")
     if command not in WHOLE:
         yield Finding("result", NOTE, "result.json depends on runs that the log does not contain; it is not recomputed")
@@ -246,7 +253,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         measured, logged = record(run, measure_run(run, *samples)), mine[0].get("metrics", {})
         now |= measured | {
             "metrics": {name: one for name, one in measured["metrics"].items() if name in logged}
-        }  # others are newer
+        }  # without metrics that are newer than the log
         now |= {"iri": roughness(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     if MEASURED_TOPIC in recorded.responses:
@@ -262,7 +269,19 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
 
 
 def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds: Sequence[str]) -> Iterator[Finding]:
-    """Compares what a log says with what is computed again: the first difference and how many more, or the lines that hold."""
+    """Compares logged values with recomputed values.
+
+    Args:
+        part: subject of the findings.
+        source: origin of the logged values, for the text.
+        said: logged values.
+        now: recomputed values.
+        what: plural noun for further differences, for the text.
+        holds: texts of the findings if there is no difference.
+
+    Yields:
+        A finding about the first difference, with the number of further differences; otherwise a finding for each of `holds`.
+    """
     wrong = list(different(said, now))
     if wrong:
         more = f" (and {len(wrong) - 1} more {what}, such as {wrong[1]})" if len(wrong) > 1 else ""

@@ -1,7 +1,7 @@
-"""A logged run made again: its vehicle, controller and road, the linear prediction, and MuJoCo's run.
+"""Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
-Nothing is designed, and no solver is needed: a certificate is checked from its proof, and a linear response follows from the law.
-The code of a law in Python is not run: the forces that it requested are in the log.
+No controller is designed, and no solver is needed. The log contains the law, from which the linear response follows, and the
+proof of the certificate. A law in Python is not executed. MuJoCo applies the forces that the log contains instead.
 """
 
 import json
@@ -34,18 +34,19 @@ from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem
 
-MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
-LAW = ("gain", *MATRICES, "sample_period")  # claims
+MOST_STATES = 1000  # largest number of states of a loop, with all delayed forces, whose eigenvalues are computed; takes seconds
+LAW = ("gain", *MATRICES, "sample_period")  # claims that define the law
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
-    """Returns the vehicle of the attached file.
+    """Returns the vehicle of the attached vehicle file.
 
     Args:
-        kinds: folder of vehicle types of the user's own, whose Python is run; None for those that ship alone.
+        log: the log.
+        kinds: folder of custom vehicle types, whose Python code is executed; None to allow only built-in types.
 
     Raises:
-        InputError: the log has no such file, or it is not a vehicle file.
+        InputError: the log contains no valid vehicle file, or its vehicle type is unknown.
     """
     vehicle_type = log.metadata.get("vehicle_type")
     if kinds is None and vehicle_type is not None and vehicle_type not in kind_names():
@@ -55,11 +56,14 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
 
 
 def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
-    """Returns the vehicle with the implementation of a run, which may have a delay that the vehicle file lacks."""
+    """Returns the vehicle with the actuators, initial state and implementation of a run.
+
+    These may differ from the vehicle file: `sim.margins`, for example, adds a delay.
+    """
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
         vehicle = vehicle.without(part)
-    # The passive vehicle and state feedback, beside controllers that push
+    # The passive vehicle and state feedback have force actuators if they are compared with controllers that request forces.
     pushed = vehicle.dampers and name in RESERVED_NAMES and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
     vehicle = vehicle.with_force_actuators if pushed else vehicle.with_actuators_of(name)
     start = run.claim("start") if "start" in run.claims else {}
@@ -67,12 +71,13 @@ def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
-    """Returns the controller of a run: the vehicle file's, with the law of a design, and every proof, from the log.
+    """Returns the controller of a run.
 
-    A law in Python is the attached text. If exported code drove the run, the code is made again.
+    The controller is that of the vehicle file. The log contains the proof, and the law if it was designed. The text of a law in
+    Python is attached to the log. If exported code ran, the code is compiled again.
 
     Raises:
-        InputError: the vehicle has no such controller, or the proof or code is malformed.
+        InputError: the vehicle file does not contain the controller, or the proof or the code is invalid.
     """
     controller = _recorded_law(log, vehicle, run)
     if "code" not in run.claims:
@@ -89,7 +94,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     entry = vehicle.controllers.get(name)
 
     def linear(name: str) -> Controller:
-        """Returns the controller of a linear law, which is the file's or that of a design in the log."""
+        """Returns a linear controller. Its law is that of the vehicle file or, if it was designed, that of the log."""
         request = DesignRequest() if entry is None else entry.request
         signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
         given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
@@ -108,17 +113,19 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
 
 
 def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyController) -> tuple[Run, Response]:
-    """Makes a run again: predicts it by linear analysis, and runs MuJoCo. A law in Python applies the forces in the log.
+    """Repeats a run: predicts it by linear analysis, and simulates it in MuJoCo. For a law in Python, the logged forces act.
 
     Args:
+        log: the log.
+        run: the run in the log.
         vehicle: vehicle of the run, see `with_implementation_of`.
         controller: controller of the run, see `recorded_controller`.
 
     Returns:
-        The new run with its verdict and energy balance, and MuJoCo's new response.
+        The repeated run with its verdict and energy balance, and MuJoCo's response in this run.
 
     Raises:
-        InputError: the road or the timestep is wrong, or responses or forces are not in the log.
+        InputError: the logged road or timestep is invalid, or the log lacks responses or forces.
     """
     timestep, times = log.timestep, run.responses[MUJOCO].times
     time = np.arange(len(times)) * timestep
@@ -136,15 +143,22 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
 
 
 def controller_states(controller: AnyController) -> tuple[Signal, ...]:
-    """Returns the signals of a controller's states."""
+    """Returns the signals for the states of a controller."""
     return kept_signals(range(1, controller.states + 1))
 
 
 def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, states: tuple[Signal, ...]) -> Response:
-    """Returns a logged response with the vehicle's signals, in their order, and those of its controller's states.
+    """Returns a logged response with the signals of the vehicle in their usual order, followed by the states of the controller.
+
+    Args:
+        vehicle: vehicle of the run.
+        run: the run in the log.
+        name: name of the response, one of `RESPONSES`.
+        timestep: timestep of the run [s].
+        states: signals for the states of the controller, see `controller_states`.
 
     Raises:
-        InputError: the response is not in the log, or has other signals.
+        InputError: the log does not contain this response, or its signals are not those of the vehicle.
     """
     logged, signals = run.responses[name], vehicle.kind.signals
     if len(logged.names) != len(signals):

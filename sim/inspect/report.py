@@ -1,4 +1,4 @@
-"""Result of an inspection: as a document, as JSON, and the signals as a table."""
+"""Output of `sim.inspect`: the printed document, the JSON object, and the CSV file of the signals."""
 
 import json
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ RECORD = Record[Proof](
 
 
 def describe(proof: Proof) -> Document:
-    """Returns the result as a document: the log, the findings on it and on each run, and whether it proves its claims."""
+    """Returns the document to print: the log, findings about the log and each run, and whether the log proves its claims."""
     log, vehicle = proof.log, proof.vehicle
     about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]
     versions = ", ".join(f"{name} {version}" for name, version in log.versions.items())
@@ -53,7 +53,7 @@ def describe(proof: Proof) -> Document:
 
 
 def _describe_run(one: InspectedRun) -> Document:
-    """Returns a run of a log: its verdict, its samples, road and law, and the findings on it."""
+    """Returns the document about a logged run: verdict, samples, road, control law and findings."""
     run, title, about = one.again, f"run {one.recorded_run.name}", []
     if run is not None:
         time, controller = run.prediction.time, run.controller
@@ -66,7 +66,10 @@ def _describe_run(one: InspectedRun) -> Document:
 
 
 def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
-    """Returns findings as statements: the names of the parts that hold, and all others; as details, each that holds."""
+    """Returns findings as statements: one list of the parts that hold, then the other findings.
+
+    `-v` also prints each finding that holds.
+    """
     held = [one for one in findings if one.verdict == HOLDS]
     others = [one for one in findings if one.verdict != HOLDS]
     return (
@@ -77,17 +80,17 @@ def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
 
 
 def short_line(proof: Proof) -> list[str]:
-    """Returns a line on a log among several, and what of it is not proved."""
+    """Returns printed lines about one of several logs: whether it proves its claims, and the parts that it does not prove."""
     if proof.holds:
         return [Whole(f"still proves    {proof.log.path}")]
     return [Whole(f"DOES NOT PROVE  {proof.log.path}"), *wrap_text(", ".join(proof.broken), "  ", 4)]
 
 
 def write_signals(path: Path, proof: Proof) -> None:
-    """Writes the signals of all runs of a log, as `sim.bump --csv` does.
+    """Writes the signals of all runs of a log to a CSV file, in the format of `sim.bump --csv`.
 
     Raises:
-        InputError: the log has no signals of a known vehicle, or the file cannot be written.
+        InputError: the vehicle type of the log is unknown, or the file cannot be written.
     """
     if proof.vehicle is None:
         raise InputError("--csv: the log contains no signals of a known vehicle type; omit --csv")

@@ -1,4 +1,4 @@
-"""`python -m sim.report`: one HTML page about a vehicle file and its controllers."""
+"""`python -m sim.report`: writes one HTML page about a vehicle file and its controllers."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code.
 
     Raises:
-        InputError: bad options, vehicle file or output file.
+        InputError: an option, a vehicle file or an output file is invalid.
     """
     options = _parser().parse_args(arguments)
     from models.document.outputs import check_outputs, output_paths, written_lines
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
-        with Processes(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
+        with Processes(processes(options.quick) if arguments is None else 0) as pool:  # no processes if Python calls `main`
             results[title] = _write_report(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].scores})
     if len(subjects) > 1:
@@ -117,7 +117,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str]]]":
-    """Returns the vehicles of the pages with their controllers, by title. Controllers that push have a page beside dampers."""
+    """Returns the vehicle and the controllers of each page, by title.
+
+    If a vehicle has both semi-active dampers and controllers that need force actuators, these controllers get a page of their
+    own.
+    """
     from sim.command.driving import read_vehicles
 
     vehicles = read_vehicles(options)
@@ -139,7 +143,7 @@ def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str
 def _outputs(
     options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]"
 ) -> "dict[str, dict[str, Path | None]]":
-    """Returns page and folder of figures of every vehicle, by title."""
+    """Returns the path of the page and the folder for the figures of each vehicle, by title."""
     from sim.studies.subject import file_stem
 
     if len(subjects) == 1:
@@ -158,7 +162,7 @@ def _several(
     results: "Mapping[str, Report]",
     undesigned: Sequence[str],
 ) -> int:
-    """Prints one table of several vehicles; returns the exit code."""
+    """Prints the written files and one table with the controllers of several vehicles; returns the exit code."""
     from models.document.outputs import output_paths, written_lines
     from sim.report.page import record
     from sim.studies.ride.score_table import score_lines, scores_record
@@ -182,7 +186,7 @@ def _write_report(
     pool: "Processes",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
-    """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
+    """Writes the page of a vehicle, and its figures if they are requested; returns the report."""
     from models.common.extensions import STUDIES
     from models.vehicle.limits_and_implementation import steps_per_sample
     from sim.command.comparison import controllers_of, runnable, warn_invalid_certificates
@@ -247,7 +251,7 @@ OF_A_VEHICLE = (
         "speed",
         "duration",
     ),
-)  # options without a meaning for the gallery
+)  # options that do not apply to the page of the gallery
 
 
 def _gallery(options: argparse.Namespace) -> int:
@@ -285,7 +289,7 @@ def _gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns when and how a page is made."""
+    """Returns the origin of a page by name: time, command, vehicle file and versions of packages."""
     from models.common.command import versions
 
     return {
@@ -297,7 +301,7 @@ def _about(source: str) -> dict[str, str]:
 
 
 def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
-    """Writes a page, with its figures if they are requested: all of it, or nothing."""
+    """Writes a page, and its figures if they are requested. If an error occurs, no file is written."""
     from models.common.files import made_folder, together
     from models.document.figure import Figure
     from models.document.page import write_page
@@ -357,7 +361,7 @@ def _files(page: "Page") -> "list[tuple[Figure | Table, tuple[str, ...]]]":
 
 
 def _others(page: "Page", folder: Path) -> list[str]:
-    """Returns the names of other figures and tables in the folder, which stay, as they may be the user's."""
+    """Returns the names of figures and tables in the folder that are not of this page. They may be the user's, so they stay."""
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
     return sorted(name for name in there - own if not name.startswith("."))

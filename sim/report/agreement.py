@@ -1,4 +1,4 @@
-"""The sections of a report that compare MuJoCo with analysis over one road: the paper's bump, agreement, damper diagrams."""
+"""The sections of a report that compare MuJoCo with linear analysis over one road: responses, agreement and force diagrams."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,17 +23,17 @@ from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics, m
 from sim.studies.study import Progress, Study
 from sim.studies.subject import BUMP_DURATION, Subject
 
-DIAGRAM_POINTS = 60  # of MuJoCo
-ROOM = 1.15  # times what was reached, on both axes
-MOST_ORDERS = 4  # controllers whose order of convergence is found, as that takes twice a run
-Finer = Mapping[str, SignalAgreement]  # of a run at half the timestep, by signal
+DIAGRAM_POINTS = 60  # approximate number of points of a MuJoCo run in a diagram
+ROOM = 1.15  # range of both axes, relative to the largest value
+MOST_ORDERS = 4  # largest number of controllers with an order of convergence, because each needs a run of twice the steps
+Finer = Mapping[str, SignalAgreement]  # agreement of a run at half the timestep, by signal
 NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
 def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure | None:
-    """Returns force over velocity of nonlinear and semi-active dampers, and over deflection of nonlinear springs.
+    """Returns a figure of force over velocity for nonlinear and semi-active dampers, and over deflection for nonlinear springs.
 
-    It is None for a vehicle without such parts.
+    Returns None if the vehicle has only linear springs and dampers.
     """
     panels = tuple(_panel(scope, diagram, runs) for diagram in diagrams(scope.vehicle))
     title = f"Forces over {where}. Lines: characteristics or limits, and their linearisation. Points: MuJoCo, with the actuator."
@@ -41,7 +41,7 @@ def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure
 
 
 def _panel(scope: Subject, diagram: Diagram, runs: Sequence[Run]) -> Panel:
-    """Returns the panel of a diagram: its lines over the range of all runs, and about `DIAGRAM_POINTS` samples of each run."""
+    """Returns the panel of a force diagram: lines for characteristics, points for about `DIAGRAM_POINTS` samples of each run."""
     points, far, high = [], 1e-3, 0.0
     for run in runs:
         response = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
@@ -57,9 +57,16 @@ def _panel(scope: Subject, diagram: Diagram, runs: Sequence[Run]) -> Panel:
     return Panel(diagram.title, diagram.over, "force [N]", (*points, *lines), None, xlim=limits[0], ylim=limits[1])
 
 
-@np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
+@np.errstate(over="ignore")  # the squares of an unstable loop overflow; tables print "-" for infinity
 def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
-    """Returns the section on the road of the report: signals over time, and their peaks, or the metrics measured `when`."""
+    """Returns the section about the runs over the road: signals over time, and a table of peaks (bump) or metrics (own road).
+
+    Args:
+        scope: subject of the report.
+        runs: runs of all controllers over the road.
+        measured: metrics of these runs; empty for the bump.
+        when: text that describes the measured time.
+    """
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)
     if road is None:
@@ -74,7 +81,7 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
 
 
 def _peaks(scope: Subject, runs: Sequence[Run]) -> Table:
-    """Returns peaks and rms values of every weighted signal over the bump."""
+    """Returns the table of peaks and rms values over the bump, for all weighted signals and all runs."""
     vehicle = scope.vehicle
     pairs = [(run, name) for name, weight in vehicle.performance.items() if weight > 0 for run in runs]
     columns: tuple[Field[tuple[Run, str]], ...] = (
@@ -94,7 +101,7 @@ def _peaks(scope: Subject, runs: Sequence[Run]) -> Table:
 
 
 def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
-    """Returns the metrics of every run."""
+    """Returns the table of the metrics of all runs."""
     pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
     columns: tuple[Field[tuple[Run, str, MetricComparison]], ...] = (
         Field("metric", lambda of: of[1].replace("_", " ")),
@@ -107,11 +114,17 @@ def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
 
 
 def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, Finer]) -> Document:
-    """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
+    """Returns the section about the difference between MuJoCo and linear analysis, and its order of convergence.
+
+    Args:
+        scope: subject of the report.
+        runs: runs of all controllers over the road.
+        finer: agreement of runs at half the timestep, by controller and signal.
+    """
     pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
     linear = not (scope.vehicle.parts.nonlinear or scope.vehicle.dampers)
-    prompt = scope.vehicle.implementation.undelayed  # then the sampled response tends to the continuous one
+    prompt = scope.vehicle.implementation.undelayed  # if True, the sampled response converges to the continuous response
 
     def settles(run: Run) -> bool:
         return linear and run.controller.linear and (prompt or not run.controller.acts)
@@ -160,14 +173,21 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
             "with order 2."
         )
     caption = (
-        "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds what is allowed, and orders."
+        "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds allowed distances and orders."
     )
     table = Table.of("agreement", caption, columns, pairs, words=2, pivot=Pivot(("signal",), "controller", ("to sampled",)))
     return Document(f"Agreement with {reference.partition(' with')[0]}", (*notes(*texts), table, energy_table(runs, scope.where)))
 
 
 def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
-    """Returns the power of the step with which a difference shrinks; None for rounding, and for noise and geometry."""
+    """Returns the order of convergence of a difference in the timestep; None if rounding, noise or geometry causes it.
+
+    Args:
+        run: run at the timestep of the report.
+        finer: agreement of a run at half the timestep; None if it was not simulated.
+        name: name of the signal.
+        to: reference of the difference, "sampled" or "continuous".
+    """
     if finer is None or run.prediction.cause:
         return None
     coarse, fine = (getattr(signals[name], to) for signals in (run.agreement.signals, finer))
@@ -175,7 +195,7 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
 
 
 class ResponseStudy(Study[None]):
-    """Response to the road of a page."""
+    """Study that adds the section about the runs over the road to a page."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -183,14 +203,17 @@ class ResponseStudy(Study[None]):
 
 
 class AgreementStudy(Study[dict[str, Finer]]):
-    """Difference of MuJoCo from analysis over the road of a page, and its order of convergence from runs at half the timestep."""
+    """Study of the difference between MuJoCo and linear analysis over the road of a page.
+
+    Runs at half the timestep give the order of convergence.
+    """
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
         """See `Study`."""
         return {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> dict[str, Finer]:
-        """Returns the agreement of each signal of a few controllers at half the timestep."""
+        """Returns the agreement by signal at half the timestep, for at most `MOST_ORDERS` controllers."""
         halves = sample_times(request.vehicle, request.duration, request.timestep / 2)
         runs = run_controllers(request.vehicle, request.driven_controllers[:MOST_ORDERS], request.road, halves, balanced=False)
         return {run.controller.name: run.agreement.signals for run in runs}

@@ -1,4 +1,4 @@
-"""The sections of a report on what was designed: gains, certificates, frequency responses, and the paper's numbers."""
+"""The sections of a report about designs: gains, certificates, goals, and the numbers of the paper."""
 
 import math
 from collections.abc import Mapping
@@ -23,11 +23,11 @@ from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
-FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
+FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from below the body's natural frequency to above the wheel's
 
 
 def design_section(scope: Subject) -> Document:
-    """Returns the section on designs: norms, bounds and certificates as `python -m synth` prints them, goals, and gains."""
+    """Returns the section about designs: norms, bounds and certificates as `python -m synth` prints them, goals and gains."""
     rows, designer, vehicle = [_row(scope, one) for one in scope.controllers], scope.designer, scope.vehicle
     document = describe(vehicle, rows, designer.beyond_control, designer.plant, apart=True)
     blocks: list[Block] = [*_loops(scope), *document.blocks]
@@ -46,7 +46,7 @@ def design_section(scope: Subject) -> Document:
 
 
 def _loops(scope: Subject) -> list[Statement]:
-    """Returns statements on the two loops, on unstable ones, on missed goals, and on laws without linear analysis."""
+    """Returns statements about the implementation, unstable loops, missed goals, and laws without linear analysis."""
     statements, vehicle = list[Statement](), scope.vehicle
     built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
     if built:
@@ -75,7 +75,7 @@ def _loops(scope: Subject) -> list[Statement]:
 
 
 def _row(scope: Subject, one: Controller) -> Row:
-    """Returns the row of a controller in the table of designs."""
+    """Returns the row of a linear controller for the table of designs."""
     certificate, norm = one.certificate, scope.built_norms.get(one.name)
     return Row(one.name, one, (), failures_of_sampled_loop(scope.vehicle, certificate, certificate.failures, norm), sampled=norm)
 
@@ -99,10 +99,10 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
-    """Returns the table of a controller's gains, a row per measured signal, or None if it measures nothing.
+    """Returns the table of a controller's gains with a row per measured signal; None if the controller measures nothing.
 
-    A static gain has a column per force, K transposed. A law with states has a column per frequency, as on a Bode plot: the
-    magnitude of all its forces together.
+    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency with the
+    amplitude of the force, or of all forces together, as in a Bode plot.
     """
     if not controller.measured:
         return None
@@ -122,13 +122,13 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
 
 
 def per_unit(unit: str, other: str) -> str:
-    """Returns the unit of a quotient: N/m, N·s/m."""
+    """Returns the unit of a quotient, such as N/m or N·s/m."""
     over, _, under = other.partition("/")
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
 
 def paper_section(scope: Subject, progress: Progress) -> Document:
-    """Returns the section on the numbers that the paper prints of its designs, and ours from scratch."""
+    """Returns the section that compares the numbers of the paper with numbers that Roadproof computes from scratch."""
     values, rows = ours(scope.designer), []
     for row in PRINTED_NUMBERS:
         entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
@@ -137,7 +137,7 @@ def paper_section(scope: Subject, progress: Progress) -> Document:
         numbers = f"{row.value:.{decimals}f}", f"{mine:.{decimals + 2}f}"
         rows.append((row.equation, f"{row.quantity}{entry}", "same" if same else row.reason, *numbers))
     headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
-    caption = "Every number that the paper prints of its designs, and ours to two digits more."
+    caption = "All numbers of the designs in the paper, and the same numbers computed here, with two more digits."
     texts = [
         "Remark 4: with L = 0 and the states (30), (25) has no solution. With the car's absolute motion as states and the road's "
         "height as w, as in [33], it has one for `I`, whose gain grows without bound near the optimum, and none for `II`."
@@ -151,7 +151,7 @@ def paper_section(scope: Subject, progress: Progress) -> Document:
 
 
 def without_l(designer: Designer) -> Table:
-    """Returns the table of remark 4, on designs with L = 0."""
+    """Returns the table about remark 4 of the paper: designs with L = 0."""
     columns: tuple[Field[WithoutL], ...] = (
         Field("controller", lambda one: f"{one.controller}, states {one.states}"),
         Field("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
@@ -163,7 +163,7 @@ def without_l(designer: Designer) -> Table:
 
 
 def other_ways(designer: Designer) -> Table:
-    """Returns the table of remark 5, on the two steps and a genetic algorithm."""
+    """Returns the table about remark 5 of the paper: the two-step design compared with a genetic algorithm."""
     columns: tuple[Field[Way], ...] = (
         Field("controller", lambda one: f"{one.controller}, {one.how}"),
         Field("work", lambda one: one.work),
@@ -176,7 +176,7 @@ def other_ways(designer: Designer) -> Table:
 
 
 class DesignsStudy(Study[None]):
-    """Designs of a page."""
+    """Study that adds the section about designs to a page."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -184,7 +184,7 @@ class DesignsStudy(Study[None]):
 
 
 class PaperStudy(Study[Document]):
-    """Numbers of the paper, on a page about its vehicle."""
+    """Study that adds the numbers of the paper to a page about the paper's vehicle."""
 
     seconds = 2.0
 

@@ -1,4 +1,4 @@
-"""The section of a report on exported code: what was exported, and what the code changes in MuJoCo."""
+"""The section of a report about exported code: its content, and its effect in MuJoCo compared with the original control law."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ TITLE = "Exported code"
 
 
 def exported_section(scope: Subject) -> Document:
-    """Returns the section on the exported code of a report: its format and inputs, and its run."""
+    """Returns the section about exported code: its format and inputs, and the result of its run over the road."""
     assert scope.exported_controller is not None, "a folder was given"
     time = sample_times(scope.vehicle, scope.duration, scope.timestep)
     (run,) = run_controllers(scope.vehicle, [scope.exported_controller], scope.road, time)
@@ -37,7 +37,7 @@ def exported_section(scope: Subject) -> Document:
 
 
 class ExportedStudy(Study[Document]):
-    """Exported code, and its effect on a run, on a page."""
+    """Study that adds the section about exported code to a page."""
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
         """See `Study`."""

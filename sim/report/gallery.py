@@ -1,4 +1,4 @@
-"""The page of the gallery: published numbers next to ours, source by source, with figures of the responses."""
+"""The page of the gallery: published numbers compared with those of Roadproof by source, with figures of the responses."""
 
 import math
 from collections.abc import Sequence
@@ -17,17 +17,17 @@ from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, r
 from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values
 
-POINTS, MARKS = 800, 25  # points of a drawn line, and of MuJoCo's markers, about
-BAND = 30.0  # of a frequency response to both sides of the printed frequency, as a factor
-LOW, HIGH, ABOUT = 0.1, 100.0, 400  # Hz of a singular value plot, and its points
+POINTS, MARKS = 800, 25  # approximate number of points of a drawn line, and of MuJoCo's markers
+BAND = 30.0  # factor from the published frequency to both ends of a drawn frequency response
+LOW, HIGH, ABOUT = 0.1, 100.0, 400  # lowest and highest frequency [Hz] of a singular value plot, and its number of points
 
 
 def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
-    """Returns the page.
+    """Returns the page of the gallery.
 
     Args:
-        results: every entry with its compared numbers.
-        about: time and origin of the page, by name.
+        results: entries with their compared numbers.
+        about: origin of the page by name, such as time and command.
     """
     found = summary(results)
     headline, *said = found.statements
@@ -42,7 +42,7 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
 
 
 def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
-    """Returns the section of an entry: its document with a figure of the responses that numbers are of."""
+    """Returns the section of an entry: its document with a figure of the responses from which its numbers come."""
     found, first = describe(entry, numbers), dict[tuple, PrintedNumber]()
     for one in (number.printed for number in numbers):
         first.setdefault((one.what in OF_A_RUN, one.vehicle, one.controller, one.signal, str(one.road), one.hertz), one)
@@ -55,7 +55,7 @@ def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
 
 
 def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) -> Panel | None:
-    """Returns the response that a number is of; None if it is of none."""
+    """Returns a panel with the response from which a number comes; None if the number does not come from a response."""
     designer = designer_of(entry, one)
     if one.what in OF_A_RUN:
         run, peaks = run_of_number(designer, one), [each.printed for each in numbers if each.printed.what == "peak"]
@@ -78,7 +78,13 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
 
 
 def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> Panel:
-    """Returns a signal over time, with the printed peaks on the side where the response has its own."""
+    """Returns a panel of a signal over time. Published peaks have the sign of the largest peak of the response.
+
+    Args:
+        run: run with the signal.
+        peaks: published peaks of the signal in this run.
+        one: number that defines signal, unit and scale.
+    """
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
     some, marks = drawn_indices(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))
     unit = one.unit or (run.vehicle.kind.signal(one.signal).unit if one.scale == 1 else "-")

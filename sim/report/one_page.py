@@ -1,4 +1,4 @@
-"""One page to mail: the controllers over one road, with its speed in the title, a table, a verdict and a figure."""
+"""The short report, to print or mail: a comparison of controllers over one road, with a table, verdicts and a figure."""
 
 from models.common.printed import brief
 from models.document.document import Document, Statement
@@ -17,10 +17,10 @@ HOUR = 3.6  # km/h per m/s
 
 
 def one_page(scope: Subject) -> Report:
-    """Returns the report of one road as a single page, which prints on one page of A4.
+    """Returns the report about one road, which fits on one A4 page.
 
     Args:
-        scope: subject with a road of its own.
+        scope: subject of the report, with a road (`own_road`).
     """
     runs = scope.runs
     compared = scores_of_runs(runs, passive_beside(runs, scope.designer.design), scope.samples, scope.run_metrics)

@@ -1,4 +1,4 @@
-"""Page of a report: its answer, then the sections of all studies."""
+"""The page of a report: the comparison of controllers, then the sections of all studies."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers
 
-RUNS = "runs"  # stage of the page's own runs over its road
+RUNS = "runs"  # name of the stage that simulates all controllers over the road of the page
 Begin = Callable[[dict[Name, Any], Progress], Callable[[], dict[Name, Any]]]
 
 
@@ -29,8 +29,8 @@ class Report:
 
     Attributes:
         page: whole page.
-        scores: the controllers' scores, the passive one first.
-        compared_on: roads of the comparison, in words.
+        scores: scores of the controllers; the passive vehicle comes first.
+        compared_on: text that describes the roads of the comparison.
     """
 
     page: Page
@@ -42,11 +42,12 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     """Returns the whole report.
 
     Args:
-        provenance: origin of the report, in words.
-        begin: function that begins requests and returns the function for their results, as `Processes.begin` does.
-        progress: callback that receives the name of the present study.
+        scope: subject of the report.
+        provenance: origin of the report by name, such as time and command.
+        begin: function that starts requests and returns a function that waits for their results, such as `Processes.begin`.
+        progress: callback that receives the name of the current study.
     """
-    answers = begin(requests_of(replace(scope)), progress)  # a copy, which has no runs that would go to other processes
+    answers = begin(requests_of(replace(scope)), progress)  # a copy of `scope` without cached runs, which are large to transfer
     progress(RUNS)
     runs, results = scope.runs, dict[str, dict[str, Any]]({name: {} for name in STUDIES})
     for (name, subject), result in answers().items():
@@ -70,7 +71,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
 
 def requests_of(scope: Subject) -> dict[Name, Any]:
-    """Returns the independent requests of a page, by study and subject, the longest first."""
+    """Returns the requests of a page by study and subject, the longest first. The requests are independent of each other."""
     studies = sorted((one(name) for name, one in STUDIES.load_all().items()), key=lambda one: -one.seconds)
     return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
 
@@ -81,9 +82,10 @@ def stages(scope: Subject) -> tuple[str, ...]:
 
 
 def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
-    """Returns the score of every controller over random roads or, without these, in the runs; passive first.
+    """Returns the scores of all controllers over random roads or, without random roads, over the road of the page.
 
-    A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
+    The passive vehicle comes first. A controller without runs over random roads, for example with an unstable loop, has a score
+    without numbers.
     """
     if not over_roads:
         return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.run_metrics)
@@ -94,7 +96,7 @@ def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Sc
 
 
 def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
-    """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
+    """Returns the section about the origin of the page: all numbers of the vehicle file that affect it, and all settings."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
     if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven_controllers}]:
@@ -146,7 +148,7 @@ def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
 
 
 def record(report: Report) -> dict[str, Any]:
-    """Returns answer, tables and scores as a JSON object."""
+    """Returns the statements, tables and scores of a report as a JSON object."""
     page = report.page
     return {
         "title": page.title,

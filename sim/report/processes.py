@@ -1,4 +1,4 @@
-"""Processes for the requests of a page, because Python uses one core in each process."""
+"""Processes that compute the requests of a page in parallel, because a Python process uses only one core."""
 
 import multiprocessing
 import os
@@ -11,27 +11,27 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.threads import cores
 
-if TYPE_CHECKING:  # it imports nearly everything, which children begin to import before this process does
+if TYPE_CHECKING:  # only for types: at run time this would import nearly everything before the child processes start
     from sim.studies.study import Progress
 
-MOST = 3  # processes: more of them would wait for the longest request
-Name = tuple[str, str]  # of a request: its study, and its subject there
+MOST = 3  # largest number of processes; more would not help, because the longest request takes as long
+Name = tuple[str, str]  # name of a request: its study, and its subject within this study
 
 
 def processes(quick: bool) -> int:
-    """Returns the number of worthwhile processes: 0 on one core, and for a quick report, which takes as long as their imports."""
+    """Returns the best number of processes: 0 on a single core, and 0 for a quick report, which is faster than the imports."""
     return 0 if quick else min(cores() - 1, MOST)
 
 
 class Processes:
-    """Pool of processes that run the requests of pages. Without a process, requests run here."""
+    """Pool of processes that run the requests of pages. Without processes, the calling process runs the requests."""
 
     def __init__(self, count: int) -> None:
-        """Starts as many processes, which import what requests need."""
+        """Starts `count` processes, which import the modules that most requests need."""
         self._pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent) if count else None
         if self._pool is not None:
             block = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has no such function
-            block(signal.SIG_BLOCK, {signal.SIGINT})  # children inherit this: Ctrl-C is for this process
+            block(signal.SIG_BLOCK, {signal.SIGINT})  # child processes inherit this, so that Ctrl-C reaches only this process
             for _ in range(count):
                 self._pool.submit(_prepare)
             block(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -42,17 +42,21 @@ class Processes:
     def __exit__(self, kind: object, *error: object) -> None:
         if self._pool is None:
             return
-        if kind is not None:  # nobody waits for the results
+        if kind is not None:  # after an error, the results are not needed
             for child in multiprocessing.active_children():
                 child.terminate()
         self._pool.shutdown(cancel_futures=True)
 
     def begin(self, requests: Mapping[Name, Any], progress: "Progress") -> Callable[[], dict[Name, Any]]:
-        """Begins requests in their order.
+        """Starts requests in their order.
+
+        Args:
+            requests: requests by name.
+            progress: callback that receives the name of the current study.
 
         Returns:
-            Function that returns all results by name. It runs here what no process has begun, from the last request on, and what
-            a process did not complete.
+            Function that waits for all results and returns them by name. It runs requests that no process has started yet in
+            the calling process, beginning with the last. If the pool breaks, it also runs the requests without a result.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:
@@ -77,7 +81,7 @@ class Processes:
 
 
 def _run(name: str, request: Any, progress: "Progress" = lambda text: None) -> Any:
-    """Returns the result of a request to a study, for a page."""
+    """Runs a request of a study; returns the part of the result that the page needs."""
     from models.common.extensions import STUDIES
 
     one = STUDIES.load(name)(name)
@@ -85,7 +89,7 @@ def _run(name: str, request: Any, progress: "Progress" = lambda text: None) -> A
 
 
 def _prepare() -> None:
-    """Imports what most requests need."""
+    """Imports the modules that most requests need."""
     from models.common.extensions import STUDIES
 
     STUDIES.load_all()

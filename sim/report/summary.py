@@ -1,4 +1,4 @@
-"""First screen of a report: requirements and comparison of controllers; and the table of claims and their checks."""
+"""The first section of a report (requirements and comparison of controllers), and the section about verification."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,18 +23,20 @@ from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.report import OneEnd
 from synth.controller.report import NORM
 
-PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # of the first figure
+PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # quantities of the first figure with panel titles
 
 
 def first_screen(
     scope: Subject, runs: Sequence[Run], compared: Sequence[Score], dive: Mapping[str, float], where: str
 ) -> Document:
-    """Returns the first part of the page: requirements if there are any, and the comparison as table and bars.
+    """Returns the first section of the page: requirements (if present), and the comparison of controllers as table and bars.
 
     Args:
-        compared: the controllers' scores, over the roads of `compared_on`.
-        dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
-        where: roads of the comparison, in words.
+        scope: subject of the report.
+        runs: runs of all controllers over the road.
+        compared: scores of the controllers.
+        dive: dive angle under braking [deg] by controller; empty for a vehicle that cannot pitch.
+        where: text that describes the roads of the comparison, see `compared_on`.
     """
     more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), three_digits, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
@@ -42,7 +44,7 @@ def first_screen(
 
 
 def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score]], table: Table, where: str) -> Figure:
-    """Returns bars of ride, travel, tyre load, force and dive of every controller, with changes as in the table."""
+    """Returns a bar chart of ride, travel, tyre load, force and dive for all controllers, with the changes of the table."""
     names = tuple(one.controller for one in compared)
     look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
     columns, panels = dict(zip(table.headings, zip(*table.rows, strict=True), strict=True)), []
@@ -64,9 +66,9 @@ def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score
 
 
 def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
-    """Returns the goals and limits of the vehicle file and the controllers that meet them; None without any.
+    """Returns the table of goals and limits in the vehicle file, and which controllers meet them; None if there are none.
 
-    Goals are compared with what is proved, limits with the run over the road.
+    A goal is compared with the proved value, and a limit with the run over the road.
     """
     rows = []
     for one in scope.controllers:
@@ -85,12 +87,15 @@ def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
     return Table("requirements", caption, ("requirement", "controller", "result"), tuple(rows), 2, pivot) if rows else None
 
 
-@np.errstate(over="ignore")  # an unstable loop's squares overflow
+@np.errstate(over="ignore")  # the squares of an unstable loop overflow
 def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], wrong: Sequence[str]) -> Document:
-    """Returns the section on the claims about every controller, and up to which bump they are true.
+    """Returns the section that compares predictions with MuJoCo, and states up to which bump height linear analysis is valid.
 
     Args:
-        wrong: names of the controllers without a claimed height, as their runs do not agree.
+        scope: subject of the report.
+        runs: runs of all controllers over the road.
+        ends: bump height at which the linear regime of each controller ends.
+        wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
     """
     vehicle = scope.vehicle
     certificates = {one.name: one.certificate for one in scope.controllers if one.certificate.stable}
@@ -114,7 +119,14 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
 
 
 def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: str) -> str:
-    """Describes the roads that controllers are compared on: the report's own, measured when, random ones, or the bump."""
+    """Returns a text that describes the roads of the comparison: the road of the report, random roads, or the paper's bump.
+
+    Args:
+        scope: subject of the report.
+        compared: scores of the controllers.
+        rides: True if controllers are compared over random roads.
+        when: text that describes the measured time on the road of the report.
+    """
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:
         where = f"{scope.road_name}, {when}"
@@ -123,5 +135,5 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
 
 
 def _height(end: RegimeEnd) -> str:
-    """Returns the height at which a linear regime ends in MuJoCo, with a remark if it is not the predicted one."""
+    """Returns the bump height at which the linear regime ends in MuJoCo, or a text if it differs from the predicted height."""
     return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

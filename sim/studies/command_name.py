@@ -1,8 +1,12 @@
-"""Commands of studies, by their names in `EXTENSIONS`."""
+"""Name of the command of a study."""
 
 from importlib.util import find_spec
 
 
 def command_of(name: str) -> str:
-    """Returns the command of a study, as after `python -m`: a module of its own, such as sim.margins, or `sim NAME`."""
+    """Returns the command of a study as it follows `python -m`: `sim.NAME` if this module exists, otherwise `sim NAME`.
+
+    Args:
+        name: name of the study in `STUDIES`.
+    """
     return f"sim.{name}" if find_spec(f"sim.{name}") else f"sim {name}"

@@ -1,6 +1,7 @@
-"""A study: what runs, and how its result is shown. Its row in `EXTENSIONS` makes it a command and a part of the page.
+"""Interface of a study, which defines a computation and how its result is shown.
 
-A module of a study imports what its run needs inside the methods, so that help pages appear without delay.
+A row in `models.common.extensions` makes a study a command and a part of the report. The module of a study imports others
+inside its methods, so that help pages appear without delay.
 """
 
 from argparse import Namespace
@@ -26,13 +27,13 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class StudyRequest:
-    """Task of a study.
+    """Inputs of a study.
 
     Attributes:
-        options: values of the study's options, by name.
-        vehicle: the vehicle, with the actuators that the controllers drive; None for a study without one.
+        options: values of the command-line options, by name.
+        vehicle: vehicle with the actuators that the controllers use; None for a study without a vehicle.
         names: names of the requested controllers.
-        controllers: the designed controllers; empty before their design.
+        controllers: designed controllers; empty before they are designed.
     """
 
     options: Namespace
@@ -42,16 +43,18 @@ class StudyRequest:
 
 
 class Study(Generic[R]):
-    """A study whose run has a result of type R. A command needs the first attributes; a section of the page alone needs none.
+    """A study, whose method `run` returns a result of type R.
+
+    A study with a command defines the class attributes. A study that only adds a section to the report can omit them.
 
     Attributes:
-        name: name in `EXTENSIONS`.
-        description, epilog: texts of `--help`; the epilog contains exit codes and examples.
-        page: documentation of the printed output.
-        takes: controllers that the command takes: "one" with a linear law, "several" of any kind, or "" without a vehicle.
-        usual: controllers without `--controller`, if it takes several.
-        stages: names of the parts of `run`, with which it calls `progress`.
-        seconds: rough time of the longest request of a page; a page begins long ones first.
+        name: name of the study in `STUDIES`.
+        description, epilog: texts of `--help`. The epilog contains exit codes and examples.
+        page: documentation page about the printed output.
+        takes: "one" if the command needs one linear controller, "several" if it takes any controllers, "" if it has no vehicle.
+        usual: default of `--controller` for a command that takes several controllers.
+        stages: names of the stages of `run`, which `run` passes to `progress`.
+        seconds: approximate duration of the longest request of a report [s]. Long requests start first.
     """
 
     description = epilog = ""
@@ -62,11 +65,11 @@ class Study(Generic[R]):
     seconds = 1.0
 
     def __init__(self, name: str) -> None:
-        """Prepares the study of a name."""
+        """Prepares the study with this name in `STUDIES`."""
         self.name = name
 
     def add_options(self, parser: Parser) -> None:
-        """Adds the options of the command. `--logs`, `--picture`, `--csv`, `--as` and `--json` have the usual meaning."""
+        """Adds the command-line options. The command itself handles `--logs`, `--picture`, `--csv`, `--as` and `--json`."""
         if self.takes == "one":
             parser.add_one("passive, state, or a controller of the vehicle file")
         elif self.takes:
@@ -74,17 +77,22 @@ class Study(Generic[R]):
         parser.add_printed("details")
 
     def vehicle(self, given: "Vehicle", names: Sequence[str]) -> "Vehicle":
-        """Returns the vehicle of a file that is studied."""
+        """Returns the vehicle to study.
+
+        Args:
+            given: vehicle of the vehicle file.
+            names: names of the requested controllers.
+        """
         return given.with_common_actuators(names)
 
     def check(self, request: StudyRequest) -> None:
-        """Checks the options before any work; raises an InputError."""
+        """Checks the options before the controllers are designed; raises InputError if an option is invalid."""
 
     def check_controllers(self, request: StudyRequest) -> None:
-        """Checks the designed controllers before the run; raises an InputError."""
+        """Checks the designed controllers before the run; raises InputError if the study does not support a controller."""
 
     def run(self, request: Any, progress: Progress) -> R:
-        """Returns the result."""
+        """Runs the study; returns its result."""
         raise NotImplementedError
 
     def describe(self, request: StudyRequest, result: R) -> "Document":
@@ -100,7 +108,7 @@ class Study(Generic[R]):
         return f"{request.vehicle.kind.name} with {', '.join(one.name for one in request.controllers)}"
 
     def lines(self, request: StudyRequest, result: R, files: Sequence[str]) -> list[str]:
-        """Returns the printed lines; `files` are the lines on written files."""
+        """Returns the printed lines. `files` contains the lines about written files."""
         from models.document.text import text_lines
 
         title = title_lines(self.title(request, result), request.vehicle.source)
@@ -108,7 +116,7 @@ class Study(Generic[R]):
         return [*title, *files, "", *text_lines(self.describe(request, result), detail)]
 
     def holds(self, result: R) -> bool:
-        """Returns True if the exit code is 0."""
+        """Returns True if the result is successful, so that the exit code is 0."""
         return True
 
     def figure(self, request: StudyRequest, result: R) -> "Figure":
@@ -120,29 +128,32 @@ class Study(Generic[R]):
         raise NotImplementedError
 
     def recorded_vehicle(self, given: "Vehicle") -> "Vehicle":
-        """Returns the vehicle whose text is in the logs."""
+        """Returns the vehicle whose vehicle file the logs contain."""
         return given
 
     def runs(self, request: StudyRequest, result: R) -> "Mapping[str, Run]":
-        """Returns the runs of `--logs`, by their names in the log."""
+        """Returns the runs that `--logs` records, by their names in the log."""
         raise NotImplementedError
 
     def check_page(self, scope: "Subject") -> None:
-        """Checks before any work that the section of a page is possible; raises an InputError."""
+        """Checks before the design that the report can contain the section of this study; raises InputError otherwise."""
 
     def requests(self, scope: "Subject") -> Mapping[str, Any]:
-        """Returns the requests of a page by subject: independent ones, each run in a process. Empty if the page has none."""
+        """Returns the requests of the report to this study, by subject; empty if there are none.
+
+        The requests are independent of each other. Each can run in another process.
+        """
         return {}
 
     def for_page(self, result: R) -> Any:
-        """Returns what the sections of a page need of a result. It comes from another process, so it must be picklable."""
+        """Returns the part of a result that the report needs. It may come from another process, so it must be picklable."""
         return result
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":
-        """Returns the sections of a page: by default the results, as of a study whose results are documents.
+        """Returns the sections of this study in the report. By default, these are the results, which must then be documents.
 
         Args:
-            scope: subject of the page.
-            results: results of the requests of every study on the page, by its name and their subjects.
+            scope: subject of the report.
+            results: results of all studies, by name of the study and subject of the request.
         """
         return [*results.get(self.name, {}).values()]

@@ -1,4 +1,4 @@
-"""Subject of a page: the vehicle and its controllers, their loops, their runs over the road, and common results."""
+"""Subject of a report: the vehicle, its controllers, their runs over the road, and other results that several sections use."""
 
 import math
 from dataclasses import dataclass
@@ -22,33 +22,33 @@ from synth.controller.loop_of import loop_of, radius
 from synth.controller.report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
-BUMP_DURATION = 3.0  # s
-COARSER = 2.5  # times the report's step, at most that of the map
-AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
+BUMP_DURATION = 3.0  # s, duration of the run over the bump
+COARSER = 2.5  # largest timestep of the map, relative to the timestep of the report
+AMPLITUDE = 1e-4  # m, amplitude of the sinusoidal roads for frequency responses
 SPEED, SEEDS = 20.0, (0, 1, 2, 3)  # speed [m/s] and seeds of the random roads
-AVERAGE = "C"  # their class that controllers are compared on
+AVERAGE = "C"  # road class on which the report compares the controllers
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
     """Subject of a report.
 
-    Designs and certificates are for the *ideal loop*, which is continuous and without limits. MuJoCo runs the *implemented loop*
-    with `[limits]` and `[implementation]` of the vehicle file.
+    Designs and certificates refer to the *ideal loop*, which is continuous and has no limits. MuJoCo simulates the *implemented
+    loop* with `[limits]` and `[implementation]` of the vehicle file.
 
     Attributes:
         vehicle: the vehicle.
         designer: designer of the controllers.
-        controllers: controllers that are reported and have a linear law.
-        timestep: timestep of the physics [s].
+        controllers: controllers of the report with a linear law.
+        timestep: timestep of the simulation [s].
         quick: True to omit margins, map and ride.
-        laws: laws without linear analysis: laws in Python, and semi-active laws.
-        front: the axes of a trade-off, in the form of `--front`; None without one.
+        laws: controllers of the report without linear analysis: laws in Python and semi-active laws.
+        front: axes of a trade-off in the syntax of `--front`; None without a trade-off.
         loads: loads on the body on a flat road.
-        exported_controller: the controller whose exported code is reported; None without one.
-        own_road: road of the report instead of the paper's bump; None for the bump.
-        road_name: name of the road as given.
-        duration: duration of the runs over either road [s].
+        exported_controller: controller with exported code; None without exported code.
+        own_road: road of the report; None for the paper's bump.
+        road_name: name of the road as the user gave it.
+        duration: duration of the runs over the road or bump [s].
     """
 
     vehicle: Vehicle
@@ -66,32 +66,32 @@ class Subject:
 
     @property
     def road(self) -> Road:
-        """Returns the road that all is driven over."""
+        """Road of all runs: `own_road`, or the paper's bump."""
         return self.own_road or Bump()
 
     @property
     def where(self) -> str:
-        """Returns that road in a few words."""
+        """Short name of the road in sentences: "the road" or "the paper's bump"."""
         return "the road" if self.own_road is not None else "the paper's bump"
 
     @property
     def speed(self) -> float:
-        """Returns the speed over sinusoids [m/s]: that of the road, or of the paper's bump if the vehicle is on a rig."""
+        """Speed over sinusoidal roads [m/s]: the speed over the road, or the speed over the paper's bump for a test rig."""
         return self.road.speed or Bump().speed
 
     @cached_property
     def time(self) -> Array:
-        """Returns the sample times of the runs over the road [s]."""
+        """Sample times of the runs over the road [s], shape (T,)."""
         return sample_times(self.vehicle, self.duration, self.timestep)
 
     @cached_property
     def runs(self) -> list[Run]:
-        """Returns the run of every controller over the road."""
+        """Runs of all controllers over the road."""
         return run_controllers(self.vehicle, self.driven_controllers, self.road, self.time)
 
     @cached_property
     def samples(self) -> tuple[int, int | None]:
-        """Returns the first measured sample, and the one after the last; None for the end of the runs."""
+        """Index of the first measured sample, and index after the last measured sample; None for the end of the runs."""
         if self.own_road is None:
             return 0, None
         return measured_samples(
@@ -100,33 +100,33 @@ class Subject:
 
     @cached_property
     def run_metrics(self) -> list[RunMetrics]:
-        """Returns the metrics of the runs over a road of the report's own; empty for the bump."""
+        """Metrics of the runs over `own_road`; empty for the bump."""
         return [] if self.own_road is None else [measure_run(run, *self.samples) for run in self.runs]
 
     @property
     def disagreeing_names(self) -> list[str]:
-        """Returns the names of the stable controllers whose runs do not agree."""
+        """Names of the stable controllers whose runs disagree with linear analysis."""
         wrong = {run.controller.name for run in self.runs if not run.agreement.agrees}
         return [one.name for one in self.stable if one.name in wrong]
 
     @property
     def driven_controllers(self) -> tuple[AnyController, ...]:
-        """Returns all controllers that MuJoCo runs."""
+        """All controllers of the report, which MuJoCo simulates."""
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: AnyController) -> bool:
-        """Returns True if a loop is known to be unstable, ideal or implemented."""
+        """Returns True if the controller is linear and its ideal or implemented loop is unstable."""
         return controller.linear and controller not in self.stable
 
     @property
     def noise_qualifier(self) -> str:
-        """Returns the noise and quantisation that a linear loop omits, after a comma; empty without them."""
+        """Text that excludes noise and quantisation, such as ", without its noise"; empty without noise and quantisation."""
         noise = self.vehicle.implementation.noise_text
         return f", without its {noise}" if noise else ""
 
     @cached_property
     def stable(self) -> list[Controller]:
-        """Returns the controllers with a stable implemented loop, and a stable ideal loop unless a computer replaces it."""
+        """Linear controllers with a stable implemented loop. Without sample period and delay, the ideal loop is stable, too."""
         return [
             one
             for one in self.controllers
@@ -136,7 +136,7 @@ class Subject:
 
     @cached_property
     def built_norms(self) -> dict[str, SampledNorm]:
-        """Returns the L2 gains of the implemented loops, by controller, if these differ from the ideal loops."""
+        """L2 gains of the implemented loops by controller; empty if these loops do not differ from the ideal loops."""
         vehicle = self.vehicle
         if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
@@ -145,22 +145,22 @@ class Subject:
 
     @cached_property
     def styles(self) -> dict[str, Style]:
-        """Returns the style of each controller, the same in every figure of the page."""
+        """Line style of each controller, which is the same in all figures of the report."""
         return styles(tuple(one.name for one in self.driven_controllers))
 
     @property
     def active(self) -> list[Controller]:
-        """Returns the stable controllers that act and whose ideal loop is stable, so that it has margins."""
+        """Controllers with stability margins: they request a force, and their ideal and implemented loops are stable."""
         return [one for one in self.stable if one.law.acts and one.certificate.stable]
 
     @property
     def margins_timestep(self) -> float:
-        """Returns the timestep of the margins [s]: that of `python -m sim.margins`, or the report's if that is finer."""
+        """Timestep for the margins [s]: the default of `python -m sim.margins`, or that of the report if it is smaller."""
         return min(TIMESTEP, self.timestep)
 
     @property
     def map_timestep(self) -> float:
-        """Returns the timestep of the map's runs [s]: about twice the report's, a divisor of the controller's sample period."""
+        """Timestep for the runs of the map [s]: about twice that of the report, and a divisor of the sample period."""
         period = self.vehicle.implementation.sample_period or 2 * self.timestep
         step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:
@@ -172,7 +172,7 @@ class Subject:
 
 
 def file_stem(vehicle: Vehicle) -> str:
-    """Returns the name of a vehicle's file without its suffix, or its type if it has no file."""
+    """Returns the name of the vehicle file without its suffix, or the vehicle type if there is no file."""
     return Path(vehicle.source).stem if vehicle.source else vehicle.kind.name
 
 

@@ -86,7 +86,7 @@ def test_only_a_schema(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main_of("sim.new")(["--schema"]) == 0
     assert main_of("sim.new")(["--schema"]) == 0
-    assert "wrote quarter_car.schema.json; a vehicle file names it in its first line" in capsys.readouterr().out
+    assert "wrote quarter_car.schema.json; a vehicle file refers to it in its first line" in capsys.readouterr().out
     assert [one.name for one in tmp_path.iterdir()] == ["quarter_car.schema.json"]
 
 

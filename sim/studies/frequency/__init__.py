@@ -1,1 +1,5 @@
-"""Frequency responses and the norm, measured in MuJoCo."""
+"""Frequency responses and the H-infinity norm, measured in MuJoCo and compared with linear analysis.
+
+Start with `identification`, which contains `measure_responses`. `worst_case_gain` measures the largest gain, and `sweep`
+combines all results. `eusama` simulates the EUSAMA test, and `describing_function` measures nonlinear laws.
+"""

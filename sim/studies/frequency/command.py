@@ -1,4 +1,4 @@
-"""The study of frequency responses: the paper's Fig. 3, measured in MuJoCo, with largest gains and the H-infinity norm."""
+"""The study of frequency responses (Fig. 3 of the paper), with largest gains and the H-infinity norm, measured in MuJoCo."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Frequency responses of some controllers.
+    """Result of the study.
 
     Attributes:
-        lines: frequency response of each linear controller.
-        sweeps: sweep of each linear controller; empty if only frequency responses were measured.
-        own: describing function of each nonlinear law.
+        lines: frequency responses of the linear controllers.
+        sweeps: sweeps of the linear controllers; empty if only frequency responses were measured.
+        own: describing functions of the nonlinear laws.
     """
 
     lines: "Sequence[Lines]"
@@ -42,7 +42,7 @@ class Responses:
 
 
 class SweepStudy(Study[Responses]):
-    """Frequency responses and largest gains of some controllers."""
+    """Study of the frequency responses and largest gains of controllers."""
 
     description = "Measure frequency responses in MuJoCo and compare them with linear analysis."
     epilog = """
@@ -136,7 +136,7 @@ examples:
         return sweep_figure(request.vehicle, result.lines, options.timestep, options.speed, known, result.own)
 
     def runs(self, request: StudyRequest, result: Responses) -> "dict[str, Run]":
-        """Returns the run of every controller on its worst sinusoid, from rest."""
+        """Returns the runs of all controllers over their worst sinusoid, starting from equilibrium."""
         from models.roads.sinusoids import sinusoid
         from sim.runs.run import run_controllers, sample_times
         from sim.studies.frequency.identification import ideal_measurements
@@ -169,7 +169,7 @@ examples:
 
 
 class WorkshopStudy(Study[None]):
-    """Minimum tyre loads on a workshop's plate, which `SweepStudy` computes, on a page."""
+    """Study that adds the section about the EUSAMA test to a report. `SweepStudy` computes its results."""
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
         from sim.studies.frequency.report import workshop
@@ -178,7 +178,7 @@ class WorkshopStudy(Study[None]):
 
 
 class FrontStudy(Study["Document"]):
-    """Front of a trade-off, and its designs in MuJoCo on the sinusoid of each norm, on a page."""
+    """Study that adds a trade-off between objectives to a report, with MuJoCo runs of some designs."""
 
     seconds = 30.0
 

@@ -1,8 +1,8 @@
 """Describing function of a loop with a law in Python: its response to one sinusoid at a time, measured in MuJoCo.
 
-The law may be nonlinear, so that a chirp cannot be split into its lines, and there is no predicted response. For every output the
-result is the fundamental, which is at the road's own frequency, and the share of energy elsewhere: in harmonics, in a mean, or in
-transients. Roads of other heights may give other results.
+The law may be nonlinear, so a chirp would mix the responses at different frequencies, and no prediction exists. For each
+output, the result contains the fundamental, which has the frequency of the road. The result also contains the share of energy
+at other frequencies, which is due to harmonics, a mean value or transients. The result can depend on the height of the road.
 """
 
 from collections.abc import Sequence
@@ -20,27 +20,27 @@ from sim.studies.frequency.identification import check, ideal_measurements, sett
 from sim.studies.frequency.sinusoids import PeriodicRoad, chirp_lines, drive_periodic
 from synth.controller.controller import AnyController
 
-SINUSOIDS = 20  # of the chirp's lines, from its first to its last
-STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
+SINUSOIDS = 20  # number of frequencies over the range of the chirp
+STEADY = 1e-3  # relative change of a fundamental from one period to the next above which a note is printed
 
 
 @dataclass(frozen=True, eq=False)
 class DescribingFunction:
-    """Describing function of one controller, per road velocity under the first wheel.
+    """Describing function of one controller. Each frequency has its own MuJoCo run.
 
     Attributes:
         controller: the controller.
         outputs: names of the p output signals.
         units: units of the signals.
-        omega: frequencies [rad/s], shape (F,), a run each.
-        diverged: time at which each run diverged [s], shape (F,), or infinity; such a run is not measured.
-        law_diverged: True for each of these that diverged by the states of its law alone, shape (F,).
-        measured: the fundamental, complex, shape (F, p).
-        outside: share of an output's energy outside the fundamental, shape (F, p); NaN if the output does not move.
+        omega: frequencies [rad/s], shape (F,).
+        diverged: time at which each run diverged [s], shape (F,); infinite if it did not. A run that diverged is not measured.
+        law_diverged: True for each run that diverged only because the states of the law overflowed, shape (F,).
+        measured: complex amplitude of the fundamental per road velocity under the first wheel, shape (F, p).
+        outside: share of the energy of an output outside the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
         drift: largest relative change of a fundamental from one period of the lowest frequency to the next.
-        without: noise and quantisation of the vehicle file that these runs omit, in words, or empty.
-        ended: ends of the linear regime in any of the runs.
+        without: text with the noise and quantisation of the vehicle file that these runs omit; empty if they omit nothing.
+        ended: names of the limits that ended the linear regime in any of the runs.
     """
 
     controller: AnyController
@@ -58,21 +58,22 @@ class DescribingFunction:
 
     @property
     def moving(self) -> list[int]:
-        """Returns the indices of the outputs that move."""
+        """Indices of the outputs that move in at least one run."""
         return [i for i in range(len(self.outputs)) if not np.all(np.isnan(self.outside[:, i]))]
 
     @property
     def worst_omega(self) -> float:
-        """Returns the frequency with the largest gain [rad/s]."""
+        """Frequency with the largest gain [rad/s]."""
         return float(self.omega[np.argmax(np.nan_to_num(self.gains))])
 
 
 def describing_function(
     vehicle: Vehicle, controller: AnyController, amplitude: float, timestep: float, speed: float
 ) -> DescribingFunction:
-    """Drives a controller over one sinusoid after another, three periods of the lowest each, of which the first is for settling.
+    """Measures the describing function of a controller, with one run for each sinusoidal road.
 
-    Arguments and errors as for `sim.studies.frequency.identification.measure_responses`; and the law may fail.
+    Each run lasts three periods of the lowest frequency. The first period is for settling. Arguments and errors are those of
+    `sim.studies.frequency.identification.measure_responses`. In addition, the law may raise an error.
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)
@@ -104,7 +105,14 @@ def describing_function(
 
 
 def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
-    """The fundamental of every output per road velocity, and the share of its energy outside, shapes (p,), from whole periods."""
+    """Returns the fundamental of each output per road velocity, and the share of energy outside the fundamental, shapes (p,).
+
+    Args:
+        vehicle: the vehicle.
+        units: units of the outputs.
+        response: response over an integer number of periods.
+        omega: frequency of the road [rad/s].
+    """
     turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)
     signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
     lines, energy = turning @ signals, np.mean(signals**2, axis=0)
@@ -114,7 +122,7 @@ def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, ome
 
 
 def describing_failures(one: DescribingFunction) -> list[str]:
-    """Returns the failures in words: no claim is made about a law, but a run must have been measured."""
+    """Returns a text if every run diverged, so that nothing was measured; otherwise an empty list."""
     if not np.all(np.isfinite(one.diverged)):
         return []
     return [f"every run {'broke off' if one.law_diverged.any() else 'diverged'}, so nothing is measured"]

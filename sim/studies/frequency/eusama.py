@@ -1,14 +1,15 @@
-"""EUSAMA's minimum load: how much of a wheel's static load is left on a plate that moves by 6 mm, up to 25 Hz.
+"""EUSAMA test: the smallest load of a tyre, relative to its static load, on a plate that moves by 6 mm at up to 25 Hz.
 
-The European Shock Absorber Manufacturers Association's test (TS-02-76, 1976), as workshops do it: under one wheel at a time a
-plate moves up and down by 6 mm from peak to peak, at 25 Hz and then ever more slowly. What is judged is the smallest load, over
-the static one. In a linear vehicle it follows from what the wheel's tyre, of static deflection t_0, makes of its own plate:
+Workshops use this test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). A plate under one wheel at a
+time moves up and down by 6 mm from peak to peak. Its frequency begins at 25 Hz and decreases. The test grades the smallest tyre
+load, relative to the static load. In a linear vehicle, this ratio follows from the static tyre deflection t_0 and the frequency
+response t / z_r, from the height z_r of the plate to the tyre deflection t:
 
-    ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 where that is below 0 and the wheel lifts.
+    ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
-Closed form, and MuJoCo drives each wheel at the worst frequency. The number is disputed: M. Klapka, I. Mazurek and O. Machacek
-(2016), "Analysis of causes of false-negative evaluation of EUSAMA methodology for suspension assessment", Engineering Mechanics
-2016, Svratka: stiff tyres under light axles make cars fail whose dampers are sound.
+MuJoCo simulates each wheel at the worst frequency. The test is disputed, because cars with sound dampers fail if they have
+stiff tyres and light axles: M. Klapka, I. Mazurek and O. Machacek (2016), "Analysis of causes of false-negative evaluation of
+EUSAMA methodology for suspension assessment", Engineering Mechanics 2016, Svratka.
 """
 
 import math
@@ -33,25 +34,26 @@ from sim.studies.frequency.identification import ideal_measurements
 from sim.studies.frequency.sinusoids import ALIASING_LIMIT, HIGHEST, PeriodicRoad, PeriodicRun, drive_periodic, whole_periods
 from synth.controller.controller import Controller
 
-STROKE = 3e-3  # m, the plate's amplitude
-LOWEST, GRID = 0.3, 600  # Hz, frequencies: below it a wheel follows its plate
-WINDOW = 4.0  # s of whole periods that are fitted
-TURNING_SHARE = 1e-3  # of a tyre's response: what the body's turning may make of it; 3 mm under one wheel of a car make 1e-5
+STROKE = 3e-3  # m, amplitude of the plate
+LOWEST, GRID = 0.3, 600  # lowest frequency [Hz], below which the wheel follows the plate, and number of frequencies
+WINDOW = 4.0  # s, duration of the whole periods that are fitted
+TURNING_SHARE = 1e-3  # allowed relative effect of the rotation of the body on a tyre; 3 mm under one wheel of a car cause 1e-5
 DISPUTED_LIMIT = "disputed: stiff tyres under light axles fail with sound dampers (Klapka, Mazurek, Machacek 2016)"
 
 
 @dataclass(frozen=True)
 class MinimumLoad:
-    """Minimum load of one wheel on a shaking plate, predicted and measured.
+    """Smallest load of one tyre on the plate, relative to its static load, predicted and measured in MuJoCo.
 
     Attributes:
         tyre: name of the tyre deflection signal.
-        ratio: minimum for the sampled loop as implemented, relative to the static load; at least 0.
-        omega: frequency of the minimum [rad/s].
-        driven: prediction at the neighbouring frequency that MuJoCo drives, before it is cut at 0.
-        measured: minimum at that frequency in MuJoCo.
-        allowed: difference that is allowed; infinite if a force differs from its line, as the prediction is for the line.
-        ended: ends of the linear regime.
+        ratio: predicted minimum over all frequencies for the implemented (sampled-data) loop; at least 0.
+        omega: frequency of this minimum [rad/s].
+        driven: predicted minimum at the nearby frequency of the MuJoCo run; may be negative.
+        measured: minimum in the MuJoCo run.
+        allowed: allowed difference between `driven` and `measured`; infinite for vehicles with nonlinear springs or dampers,
+            for which the prediction uses the linearisation.
+        ended: names of the limits that ended the linear regime.
     """
 
     tyre: str
@@ -64,7 +66,7 @@ class MinimumLoad:
 
     @property
     def end(self) -> str:
-        """The end of the linear regime, or `curve` if the prediction is of a line; empty if neither."""
+        """Limits that ended the linear regime; `curve` if the prediction is for a linearisation; empty otherwise."""
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
@@ -72,11 +74,15 @@ SHARE_OF_LOAD = Field[float]("share of the load", lambda one: one, ".5f")
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
-    """Returns the minimum load of every wheel under every controller.
+    """Predicts and measures the minimum load of all wheels.
 
     Args:
+        vehicle: the vehicle.
         controllers: controllers with stable loops.
-        timestep: timestep of the physics [s].
+        timestep: timestep of the simulation [s].
+
+    Returns:
+        For each controller, the minimum loads of all wheels.
     """
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -91,7 +97,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
 
 @dataclass(frozen=True)
 class Plate(Road):
-    """A plate under one wheel that moves by a sinusoid from rest; the vehicle stands, and its other wheels rest.
+    """A plate under one wheel that moves sinusoidally. The vehicle does not drive, and the ground under other wheels is at rest.
 
     Attributes:
         wheel: name of the wheel's road signal.
@@ -107,37 +113,37 @@ class Plate(Road):
     laid = False
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the road signal of a wheel."""
+        """Returns the name of the road signal of a wheel."""
         return wheel.road_velocity
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns no delay."""
+        """Returns 0, because the vehicle does not drive."""
         return 0.0
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Returns the start, where the velocity jumps."""
+        """Times at which the velocity jumps [s]: only the start."""
         return (0.0,)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under a wheel, by its road signal [m]."""
+        """Returns the height under a wheel [m]. `side` is the road signal of this wheel."""
         return np.where((t >= 0) & (side == self.wheel), self.stroke * np.sin(self.omega * t), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative of the height [m/s]."""
+        """Returns the time derivative of the height [m/s]. `side` is the road signal of the wheel."""
         return np.where((t >= 0) & (side == self.wheel), self.stroke * self.omega * np.cos(self.omega * t), 0.0)
 
     def describe(self) -> dict[str, Any]:
-        """Returns the wheel, the frequency and the amplitude."""
+        """Returns type, wheel, frequency and amplitude of the plate for JSON."""
         return {"type": "plate", "wheel": self.wheel, "omega": self.omega, "stroke": self.stroke}
 
     def scaled(self, factor: float) -> "Plate":
-        """Returns a plate that moves by a multiple of this stroke."""
+        """Returns a plate with the amplitude multiplied by a factor."""
         return replace(self, stroke=factor * self.stroke)
 
 
 def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
-    """Returns a plate with a frequency near this one [rad/s], of which whole periods are fitted."""
+    """Returns a plate with a frequency near `omega` [rad/s], such that the fitted window contains whole periods."""
     _, samples = whole_periods(omega, timestep)
     samples *= max(1, round(WINDOW / (samples * timestep)))
     tried = round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)
@@ -145,9 +151,17 @@ def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
-    """Returns the amplitude of a wheel's tyre on a plate of its own, over the plate's, shape like omega.
+    """Returns the amplitude of a tyre deflection, relative to that of the plate under this wheel, for each frequency.
 
-    If the tyre damps, its equivalent deflection counts, which has the whole force.
+    The equivalent deflection of a tyre with damping is the deflection that would cause its whole force.
+
+    Args:
+        vehicle: the vehicle.
+        controller: the controller.
+        wheel: index of the wheel.
+        omega: frequencies [rad/s], shape (F,).
+        timestep: timestep of the simulation [s].
+        exponential: function for the matrix exponential: exact, or as RK4 approximates it.
     """
     response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
     outputs = vehicle.linear_model.outputs
@@ -159,8 +173,8 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
 
 
 def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float, timestep: float) -> float:
-    """The frequency at which that is largest, up to the highest [Hz], in rad/s."""
-    from scipy import optimize  # half a second
+    """Returns the frequency [rad/s] up to `highest` [Hz] at which the amplitude of a tyre deflection is largest."""
+    from scipy import optimize  # imported here because the import takes half a second
 
     omega = 2 * np.pi * np.geomspace(LOWEST, highest, GRID)
     at = int(np.argmax(_amplitude(vehicle, controller, wheel, omega, timestep, linalg.expm)))
@@ -175,7 +189,14 @@ def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float,
 
 
 def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float]) -> MinimumLoad:
-    """Returns the load of a wheel that is least at a frequency, from the end of its run at a frequency next to it, `_plate`."""
+    """Returns the minimum load of a wheel, from the end of its run.
+
+    Args:
+        run: MuJoCo run on the plate at a frequency near `omega`.
+        wheel: index of the wheel.
+        omega: predicted frequency of the minimum [rad/s].
+        static: static deflection of each tyre [m].
+    """
     vehicle, controller, tried, timestep = run.vehicle, run.controller, run.on.omega, run.timestep
     assert controller.linear is True, "minimum loads are those of linear laws"
     tyre = vehicle.kind.wheels[wheel].tyre_deflection
@@ -200,7 +221,7 @@ def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float
 
 
 def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
-    """Returns the minimum loads that differ from the prediction, in words."""
+    """Returns a text for each minimum load that differs from its prediction by more than allowed."""
     return [
         f"in EUSAMA's test, {one.tyre} keeps {SHARE_OF_LOAD.text(one.measured)} of its static load; "
         f"{SHARE_OF_LOAD.text(one.driven)} is predicted"

@@ -1,4 +1,4 @@
-"""Frequency responses drawn as in the paper's Fig. 3: lines are analysis, points are MuJoCo.
+"""Figure of frequency responses, as Fig. 3 of the paper: lines show linear analysis, and points show MuJoCo.
 
 The lines show the continuous loop or, if `[implementation]` has a sample period or a delay, the sampled loop.
 """
@@ -21,9 +21,9 @@ from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sinusoids import HIGHEST, LOWEST
 from synth.controller.controller import Controller
 
-POINTS = 600  # of a line, as far apart as a hundredth of their frequency
-CLOSELY = 41  # more where it is largest or least
-EVERY = 2  # of the identified lines, which one is drawn
+POINTS = 600  # number of points of a line; adjacent frequencies differ by 1 %
+CLOSELY = 41  # number of additional points at each maximum and minimum of a line
+EVERY = 2  # every second measured frequency is drawn
 STEP = Field[float]("timestep", lambda one: one, "g", 1e3, unit="ms")
 HERTZ = Field[float]("frequency", lambda one: one, ".3g", unit="Hz")
 PEAK = Field[float]("peak", lambda one: one, ".3g")
@@ -40,14 +40,15 @@ def sweep_figure(
     style: Mapping[str, Style],
     own: Sequence[DescribingFunction] = (),
 ) -> Figure:
-    """Returns the figure of magnitudes over frequency, one panel for each weighted signal that responds.
+    """Returns the figure of magnitudes over frequency, with a panel for each weighted signal that responds to the road.
 
     Args:
-        vehicle: the vehicle, whose weighted signals are drawn.
-        timestep: timestep of the physics [s].
+        vehicle: the vehicle.
+        sweeps: frequency responses of linear controllers.
+        timestep: timestep of the simulation [s].
         speed: forward velocity [m/s].
-        style: colour and line style of every controller.
-        own: describing functions of laws in Python, which have points and no line.
+        style: colour and line style of each controller.
+        own: describing functions of nonlinear laws, which are drawn as points without a line.
     """
     how = vehicle.implementation
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
@@ -60,7 +61,7 @@ def sweep_figure(
             i = one.outputs.index(signal)
             sizes = np.abs(one.sampled).max(axis=0)
             if sizes[i] <= SILENT * loudest_alike(sizes, one.units)[i]:
-                continue  # no control force, or no roll on a road that is the same on both sides
+                continue  # the signal does not move: for example, no control force, or no roll on a road with equal sides
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])
             some = np.union1d(np.arange(0, len(points), EVERY), [points.argmax(), points.argmin()])
@@ -94,7 +95,7 @@ def sweep_figure(
 
 
 def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
-    """Returns a sentence on the controller with the lowest peak of a signal, by its line, or an empty one without a choice."""
+    """Returns a sentence about the controller whose line has the lowest peak of a signal; empty for fewer than two lines."""
     peaks = {one.label: (float(one.y.max()), float(one.x[one.y.argmax()])) for one in curves if one.dash != "none"}
     if len(peaks) < 2:
         return ""
@@ -107,12 +108,15 @@ def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:
-    """Returns the frequencies of a drawn line [rad/s], shape (F,), dense about its extremes, and its magnitudes, shape (F, S)."""
+    """Returns the frequencies of a drawn line [rad/s], shape (F,), and the magnitudes of all outputs, shape (F, S).
+
+    The frequencies are dense near the maxima and minima of the outputs.
+    """
 
     def magnitudes(omega: Array) -> Array:
         if vehicle.implementation.undelayed:
             response = continuous_frequency_response(vehicle, controller, omega)
-        else:  # no step makes this loop continuous
+        else:  # a loop with a sample period or a delay has no continuous frequency response
             response = sampled_frequency_response(vehicle, controller, omega, timestep)
         return np.abs(response @ as_met(vehicle, omega, speed)[..., None])[..., 0]
 

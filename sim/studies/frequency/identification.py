@@ -1,8 +1,9 @@
-"""Frequency responses and L2 gains measured in MuJoCo, compared with linear analysis.
+"""Measurement of frequency responses and L2 gains in MuJoCo, and comparison with linear analysis.
 
-In gains a weight that is a filter goes over the run from rest, on the straight lines between samples. Where the road has a
-filter, too, w is what comes in there; of a sinusoid it is known, and of another road it would take the inverse of the filter,
-which may not be.
+Start with `measure_responses`. The L2 gain from the disturbance w to the performance output z includes the weights of z. If a
+weight is a filter, it is applied to the signal of the run, which is linear between samples and starts from equilibrium. If the
+road has a filter, w is the input of this filter. The input is known for a sinusoidal road, but for other roads it would require
+the inverse of the filter, which may not exist.
 """
 
 import math
@@ -32,7 +33,10 @@ from synth.controller.loop_of import loop_of, radius
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
-    """Returns ||z|| / ||w|| of a run from rest, over time and wheels, or None if the road has a filter, so that w is unknown."""
+    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium, over time and all wheels.
+
+    Returns None if the road has a filter, because w is then unknown.
+    """
     if vehicle.road_filter is not None:
         return None
     period = float(response.time[1] - response.time[0])
@@ -41,9 +45,10 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
 
 
 def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
-    """The same of whole periods of a sinusoid, once all else has decayed.
+    """Returns the gain ||z|| / ||w|| over a sinusoidal road, after transients have decayed.
 
     Args:
+        vehicle: the vehicle.
         response: response over an integer number of periods.
         omega: frequency of the road [rad/s].
     """
@@ -59,20 +64,25 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
 
 
 def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
-    """Returns the output signals and sums, and again as they are before leaps if a force is held over several steps."""
+    """Returns the output signals and sums, shape (T, p). Forces that are held over several steps jump at their samples.
+
+    If a force is held over several steps, the result contains the signals after the jumps and the signals before the jumps.
+    """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
-    several = steps_per_sample(vehicle.implementation, period) > 1  # between leaps there are steps, over which z goes on
+    several = steps_per_sample(vehicle.implementation, period) > 1  # between jumps there are steps in which z is continuous
     return [signals, _before_leaps(vehicle, response, signals, periodic)] if several else [signals]
 
 
 def _size(sides: Sequence[Array]) -> float:
-    """Returns the root mean square of the norms of z on the sides of its leaps."""
+    """Returns the root mean square of the norms of z before and after its jumps."""
     return float(np.linalg.norm([np.linalg.norm(z) for z in sides])) / math.sqrt(len(sides))
 
 
 def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic: bool) -> Array:
-    """Returns the output signals and sums as they are before the forces of each sample replace those of the one before, shape
-    (T, p); before the first sample are those of the last in periods, and none otherwise. Behind a lag they are the same.
+    """Returns the output signals and sums before the force jumps at each sample, shape (T, p).
+
+    Before the first sample, the force is that of the last sample for a periodic run, and 0 otherwise. If the actuators have a
+    lag, forces do not jump, so the signals are returned unchanged.
     """
     if vehicle.limits.actuator_bandwidth is not None:
         return signals
@@ -82,7 +92,7 @@ def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic
 
 
 def _weighted_outputs(vehicle: Vehicle, signals: Array, period: float) -> Array:
-    """Returns z for the output signals and sums, shape (T, p) both."""
+    """Returns the performance output z, shape (T, p), from the output signals and sums, shape (T, p)."""
     weighted = [(vehicle.performance.get(name, 0.0), vehicle.filters.get(name)) for name in vehicle.linear_model.outputs]
     weighted += [(one.weight, one.filter) for one in vehicle.sums]
     rows = [
@@ -93,48 +103,50 @@ def _weighted_outputs(vehicle: Vehicle, signals: Array, period: float) -> Array:
 
 
 def _signals(vehicle: Vehicle, response: Response) -> Array:
-    """Returns the output signals of a run and the sums in z, shape (T, p)."""
+    """Returns the output signals of a run, and the sums of signals that z contains, shape (T, p)."""
     return vehicle.summed(_columns(response, vehicle.linear_model.outputs))
 
 
 def _columns(response: Response, names: Iterable[str]) -> Array:
-    """Returns some signals of a run, shape (T, number of them)."""
+    """Returns the signals of a run with these names as columns, shape (T, number of names)."""
     return np.stack([response[name] for name in names], axis=-1)
 
 
 def _road_size(vehicle: Vehicle, response: Response) -> float:
-    """Returns the norm of the road's velocity under all wheels."""
+    """Returns the norm of the road velocity over time and all wheels."""
     return float(np.linalg.norm(_columns(response, [wheel.road_velocity for wheel in vehicle.kind.wheels])))
 
 
 def _filter_signal(one: Filter, values: Array, period: float) -> Array:
-    """Returns a signal through a filter, from rest."""
+    """Returns a signal after a filter that starts at 0. `period` is the time between samples [s]."""
     law = one.realisation.sampled(period)
-    from scipy.signal import dlsim  # half a second
+    from scipy.signal import dlsim  # imported here because the import takes half a second
 
     return dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
 
 
 Controllers = Annotated[Sequence[Controller], AT_LEAST_ONE]
-LINES = 60  # of the chirp, see `chirp_lines`
+LINES = 60  # number of frequencies of the chirp, before equal ones are merged; see `chirp_lines`
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Frequency response of one controller, per road velocity under the first wheel.
+    """Frequency responses of the vehicle with one controller, from the road velocity under the first wheel to all outputs.
+
+    All responses are complex, with a row per frequency and a column per output, shape (F, p).
 
     Attributes:
         controller: the controller.
         outputs: names of the p output signals.
         units: units of the signals.
-        omega: lines [rad/s], shape (F,).
-        measured: gains measured in MuJoCo, complex, shape (F, p).
-        sampled: gains of the implemented (sampled-data) loop, exact.
-        integrated: gains of the loop that RK4 integrates.
-        continuous: gains of the continuous loop, exact.
-        order: power of the timestep with which sampled tends to continuous; NaN if there is a delay or sample period.
-        gain: L2 gain of the run, from w to z, or None if the road has a filter (`sim.studies.frequency.identification`).
-        ended: ends of the linear regime.
+        omega: frequencies [rad/s], shape (F,).
+        measured: response measured in MuJoCo.
+        sampled: exact response of the implemented (sampled-data) loop.
+        integrated: response of this loop as RK4 integrates it.
+        continuous: exact response of the continuous loop.
+        order: order of convergence of `sampled` to `continuous` in the timestep; NaN with a delay or a sample period.
+        gain: L2 gain of the run from w to z; None if the road has a filter, see `l2_gain`.
+        ended: names of the limits that ended the linear regime.
     """
 
     controller: Controller
@@ -150,12 +162,20 @@ class Lines:
     ended: tuple[str, ...]
 
     def error(self, reference: Array) -> Array:
-        """Largest difference over the lines between measured and a reference, relative at each line, shape (p,)."""
+        """Returns the largest relative difference of `measured` from a reference over all frequencies, shape (p,)."""
         return difference(self.measured, reference, self.units).max(axis=0)
 
 
 def difference(response: Array, reference: Array, units: Sequence[str]) -> Array:
-    """Relative difference at every line, shape (F, p). A signal that symmetry keeps silent counts as `Response.scale` says."""
+    """Returns the relative difference of a response at each frequency, shape (F, p).
+
+    The difference of a signal that symmetry keeps at zero is relative to the other signals with the same unit, as in
+    `Response.scale`.
+
+    Args:
+        response, reference: complex responses, shape (F, p).
+        units: units of the p signals.
+    """
     size = np.abs(reference)
     scale = np.maximum(size, SILENT * loudest_alike(size, units))
     apart = np.abs(response - reference)
@@ -163,22 +183,27 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
-    """The vehicle from rest, without noise and quantisation of `[implementation]`, which have no frequency response."""
+    """Returns the vehicle in equilibrium without noise and quantisation, which have no frequency response."""
     return replace(vehicle.starting(), implementation=vehicle.implementation.without_noise)
 
 
 def measure_responses(
     vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed
 ) -> list[Lines]:
-    """Returns the frequency responses of controllers in MuJoCo, each from the last period of a repeated chirp.
+    """Measures the frequency responses of controllers in MuJoCo, from the last period of a road that repeats a chirp.
 
     Args:
+        vehicle: vehicle; noise and quantisation of its `[implementation]` are omitted.
+        controllers: linear controllers with stable loops.
         amplitude: largest height of the road [m].
-        timestep: step of the integration [s].
-        speed: forward velocity [m/s]; it matters only to vehicles with several axles.
+        timestep: timestep of the simulation [s].
+        speed: forward velocity [m/s]; it affects only vehicles with several axles.
+
+    Returns:
+        For each controller, the measured and the predicted frequency responses.
 
     Raises:
-        InputError: a timestep too coarse for the highest line, an amplitude that is not allowed, a loop that is unstable.
+        InputError: the timestep is too large for the highest frequency, the amplitude is not allowed, or a loop is unstable.
 
     Example:
         >>> from models import read_vehicle
@@ -215,7 +240,11 @@ def measure_responses(
 
 
 def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> None:
-    """Checks that these can be identified; raises InputError otherwise."""
+    """Checks that frequency responses can be measured; arguments as in `measure_responses`.
+
+    Raises:
+        InputError: the timestep or the amplitude is not allowed, or a loop is unstable.
+    """
     check_fits(vehicle, *controllers)
     sample_times(vehicle, 1.0, timestep)
     if timestep > 0.25 / HIGHEST:

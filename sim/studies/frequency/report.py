@@ -1,4 +1,4 @@
-"""Frequency responses, largest gains and minimum tyre loads as documents."""
+"""Printed documents about frequency responses, largest gains and minimum tyre loads."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -93,15 +93,15 @@ def describe(
     amplitude: float,
     timestep: float,
 ) -> Document:
-    """Returns the document on frequency responses and gains.
+    """Returns the document about frequency responses and gains.
 
     Args:
         vehicle: the vehicle.
-        lines: frequency responses of the controllers.
+        lines: frequency responses of the linear controllers.
         sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
         own: describing functions of nonlinear laws.
         amplitude: largest height of the roads [m].
-        timestep: timestep of the physics [s].
+        timestep: timestep of the simulation [s].
     """
     text = [*_claims(lines, sweeps), *(each for one in own for each in _law_statements(one))]
     text += [*notes(*_method(vehicle, lines, amplitude, timestep)), *notes(*_about(vehicle, sweeps, timestep), detail="full")]
@@ -121,7 +121,7 @@ def describe(
 
 
 def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Statement]:
-    """Yields statements on the claims: a common one for all controllers whose claims hold, and one for each failure."""
+    """Yields statements about the claims: a common statement for the controllers whose claims hold, and one for each failure."""
     of = {one.controller.name: one for one in sweeps}
     failed = {name: failures(one) for name, one in of.items() if not one.ended}
     holding: dict[str, list[Lines]] = {}
@@ -146,7 +146,7 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
 
 
 def _largest(one: Sweep | None) -> str:
-    """Returns a sentence on the gains of a sweep whose claims hold, or an empty one without a sweep."""
+    """Returns a sentence about the gains of a sweep whose claims hold; empty without a sweep."""
     if one is None:
         return ""
     if not one.is_bounded:
@@ -161,7 +161,7 @@ def _largest(one: Sweep | None) -> str:
 
 
 def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep: float) -> Iterator[str]:
-    """Yields the notes that are always shown: how the responses were measured, and with which they are compared."""
+    """Yields the notes that are always printed: how the responses were measured, and with what they are compared."""
     how, limits = vehicle.implementation, Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     lag, noise = limits.phrases(()), how.noise_text
     without = f", without {noise}, which {'have' if ' and ' in noise else 'has'} no frequency response" if noise else ""
@@ -178,7 +178,7 @@ def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep
 
 
 def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterator[str]:
-    """Yields the notes on norms and gains."""
+    """Yields the notes about norms and gains."""
     if not sweeps:
         return
     held = "The discrete-time norm is the norm of the sampled loop on roads that are constant during each timestep, as in MuJoCo."
@@ -192,7 +192,7 @@ def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterat
 
 
 def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
-    """Yields the tables for -v."""
+    """Yields the tables that only `-v` prints."""
     signals = [(one.lines, i) for one in sweeps for i in range(len(one.lines.outputs))]
     invariants = [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]
     norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
@@ -205,7 +205,7 @@ def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
 
 
 def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
-    """Yields statements on a nonlinear law: its largest gain, and the runs that were not measured."""
+    """Yields statements about a nonlinear law: its largest gain, and the runs that were not measured."""
     name, count, wild = as_name(one.controller.name), len(one.omega), np.isfinite(one.diverged)
     yield from (Statement(f"{name}: {text}.", "fails") for text in describing_failures(one))
     text = f"Linear analysis does not apply to {name}, {one.controller.kind}. Instead, {count} sinusoidal roads were simulated."
@@ -230,7 +230,7 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
 
 
 def workshop(vehicle: Vehicle, sweeps: Sequence[Sweep]) -> Document:
-    """Returns the document on EUSAMA's test: the minimum load of each wheel under each controller."""
+    """Returns the document about the EUSAMA test: the minimum load of each wheel with each controller."""
     text = [
         "A plate under one wheel at a time moves by 6 mm, at up to 25 Hz. Workshops grade dampers by the smallest tyre load, in "
         f"% of the static load (EUSAMA TS-02-76). This test is {DISPUTED_LIMIT}."

@@ -1,9 +1,9 @@
-"""Runs over periodic roads: how long they take to settle, and the lines and whole periods at their end.
+"""Runs over periodic roads: their duration, and the frequency lines and whole periods at their end.
 
-A run starts from rest, so its first seconds are its own free motion, and the passive car's takes a minute to die. Its *shape* is
-known, as it is that of the loop's poles; only its size is not. So the last periods of a run are fitted, by least squares, with a
-sine and a cosine at every line and with those decaying shapes. A wrong frequency response cannot hide there: nothing decaying
-looks like a line over a whole period.
+A *line* is one of the frequencies of the road. A run starts from equilibrium, so it first contains free motion, which takes a
+minute to decay for a passive car. The shape of the free motion follows from the poles of the loop; only its size is unknown. A
+least-squares fit of the last periods therefore contains a sine and a cosine at each line, and the decaying shapes of the free
+motion. This cannot hide a wrong frequency response, because no decaying motion resembles a line over a whole period.
 """
 
 import math
@@ -25,26 +25,29 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
-LOWEST, HIGHEST = 0.1, 25.0  # Hz
-ALIASING_LIMIT = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
-IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still
-DEAD = 1e-12  # free motion that has decayed to this is none
-LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6  # of free motion that is not fitted, where lines are fitted, and where signals are read
-PATIENCE = 10.0  # s; free motion that takes longer, as that of integrators, is fitted and taken off
-TOLD_APART = 5.0  # s at the end of a run whose signals are read, over which slow motion is told from the road's
-ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
-FINEST = 2000  # samples of whole periods at least: their frequency is then within 0.03 % of the one that is given
+LOWEST, HIGHEST = 0.1, 25.0  # Hz, range of frequencies
+ALIASING_LIMIT = (
+    0.98  # highest line relative to half the controller's sample rate; images of higher lines could be near other lines
+)
+IMAGES = 8  # number of multiples of the sample rate that have images of a line on both sides; images of higher ones are smaller
+DEAD = 1e-12  # relative size below which free motion counts as decayed
+# Relative size of free motion that may remain without being fitted, if lines are fitted and if signals are used:
+LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6
+PATIENCE = 10.0  # s, longest wait; slower free motion, such as that of integrators, is fitted and subtracted
+TOLD_APART = 5.0  # s, duration at the end of a run that suffices to separate slow motion from the lines
+ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in one batch would take gigabytes
+FINEST = 2000  # smallest number of samples in whole periods, such that their frequency is within 0.03 % of the requested one
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRoad:
-    """A periodic road, and what is read at the end of a run over it.
+    """A periodic road, and how the end of a run over this road is evaluated.
 
     Attributes:
         road: the road.
         omega: frequencies of the road [rad/s], shape (F,).
-        samples: number of samples of the whole periods at the end.
-        fitted: True to fit lines there, with free motion; False to read the signals, for which free motion must have decayed.
+        samples: number of samples in the whole periods at the end of the run.
+        fitted: True to fit lines and free motion to these periods; False to use the signals, so free motion must have decayed.
     """
 
     road: Road
@@ -55,12 +58,12 @@ class PeriodicRoad:
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRun:
-    """A run over a periodic road, from rest to the end of the whole periods that are read.
+    """A run over a periodic road, from equilibrium to the end of the evaluated periods.
 
     Attributes:
-        vehicle, controller: the loop.
-        on: the road.
-        response: the run, (T, S).
+        vehicle, controller: vehicle and controller of the run.
+        on: the periodic road.
+        response: signals of the run, shape (T, S).
     """
 
     vehicle: Vehicle
@@ -70,7 +73,7 @@ class PeriodicRun:
 
     @property
     def timestep(self) -> float:
-        """The timestep [s]."""
+        """Timestep of the simulation [s]."""
         return float(self.response.time[1])
 
     @property
@@ -79,7 +82,7 @@ class PeriodicRun:
         return self.controller, loop_of(self.vehicle, self.controller, self.timestep)
 
     def last_periods(self) -> Response:
-        """Returns the last whole periods of a linear loop, without slow motion."""
+        """Returns the last whole periods of the run, without slow free motion. The controller must be linear."""
         _, loop = self._loop
         _, slow = settling_of(loop, LEFT_IN_SIGNALS)
         told = self.response.samples(slice(-_read(loop, slow, self.on.samples), None))
@@ -87,11 +90,11 @@ class PeriodicRun:
         return steady.samples(slice(-self.on.samples, None))
 
     def lines(self, with_images: bool = False) -> dict[str, Array]:
-        """Returns the complex amplitude of every line of a linear loop in every signal, shape (F,) each.
+        """Returns the complex amplitude of each line, shape (F,), by name of the signal. The controller must be linear.
 
         Args:
-            with_images: True to fit the images of the lines, too, see `images`; over a whole period of a slower controller's
-                samples they are other lines of the period.
+            with_images: True to fit also the images of the lines, see `images`. This is not needed if the samples contain whole
+                periods of the road and of the controller's sampling. Images are then orthogonal to the lines.
         """
         (controller, loop), omega = self._loop, self.on.omega
         response = self.response.samples(slice(-self.on.samples, None))
@@ -113,16 +116,16 @@ class PeriodicRun:
 def drive_periodic(
     vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[PeriodicRoad], timestep: float
 ) -> Iterator[PeriodicRun]:
-    """Yields the MuJoCo runs of controllers over a periodic road each; each ends with its own whole periods.
+    """Yields the MuJoCo runs of N controllers, each over its own periodic road. Each run ends with whole periods of its road.
 
     Args:
-        vehicle: vehicle without noise and quantisation, from rest.
-        controllers: N controllers; those that are linear have stable loops.
+        vehicle: vehicle in equilibrium, without noise and quantisation.
+        controllers: N controllers; the loops of linear controllers must be stable.
         roads: N roads.
-        timestep: timestep of the physics [s].
+        timestep: timestep of the simulation [s].
 
     Raises:
-        InputError: a timestep that is not allowed, or too many samples.
+        InputError: the timestep is not allowed, or a run has too many samples.
     """
     lengths = [_length(vehicle, *each, timestep) for each in zip(controllers, roads, strict=True)]
     time = sample_times(vehicle, max(lengths) * timestep, timestep)[:-1]
@@ -132,7 +135,7 @@ def drive_periodic(
 
 
 def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[Road], time: Array) -> Iterator[Response]:
-    """Yields the MuJoCo responses of controllers over a road each, with as many runs in a batch as the memory allows."""
+    """Yields the MuJoCo responses of controllers, each over its own road. The memory limits the number of runs in a batch."""
     at_once = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
     for first in range(0, len(roads), at_once):
         some = slice(first, first + at_once)
@@ -141,13 +144,13 @@ def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Seq
 
 
 def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, timestep: float) -> int:
-    """Returns the number of samples of a run: those that are read, and before them those in which free motion decays.
+    """Returns the number of samples of a run: the evaluated samples, and the samples before them in which free motion decays.
 
-    - Lines are fitted together with free motion that has not decayed in as many samples before them.
-    - Between the samples of a slower controller its force makes lines besides those of the road, which resemble free motion.
-      Free motion must then have decayed, but for slow motion, which is taken off. So it must if signals are read.
-    - The free motion of other laws is not known. Before the samples that are read they have twice as many, of which the second
-      half shows whether a run has settled.
+    - If lines are fitted, the remaining free motion is fitted as well. The run then has the same number of samples before them.
+    - A controller with a longer sample period causes additional lines, which resemble free motion. Free motion must therefore
+      decay before the evaluated samples, except slow motion, which is subtracted. The same applies if signals are used.
+    - The free motion of nonlinear laws is unknown. Their runs have twice as many samples before the evaluated ones. The second
+      half of these samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:
@@ -162,15 +165,23 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
 
 def _read(loop: Loop, slow: Array, samples: int) -> int:
-    """Returns the number of samples that are evaluated where signals are read: many samples if slow modes are fitted."""
+    """Returns the number of evaluated samples if signals are used. Slow modes need more samples, because they are fitted."""
     return max(samples, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(slow) else samples
 
 
 def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, int]:
-    """Returns frequencies [rad/s] from `LOWEST` to `HIGHEST`, evenly on a logarithmic scale, and the samples of their period.
+    """Returns the frequencies of a chirp and the number of samples in its period.
 
-    A period has whole samples of the controller, so that images of the lines, which a slower controller makes, are other lines of
-    the period. Equal frequencies of the `count` fall together, and those that are too high for the controller are left out.
+    The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each is a multiple of the lowest. The
+    period contains an integer number of the controller's sample periods, so images of the lines do not disturb the fit.
+
+    Args:
+        vehicle: vehicle with the sample period of the controller.
+        timestep: timestep of the simulation [s].
+        count: number of frequencies before equal ones are merged, and those too high for the sample period are omitted.
+
+    Returns:
+        Frequencies [rad/s], shape (F,), and the number of samples in one period.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     period = round(1 / LOWEST / timestep / steps) * steps
@@ -179,19 +190,36 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
-    """Returns a number of periods near this frequency and their exact number of samples, `finest` or more in all."""
+    """Returns a number of periods and their total number of samples, which together give a frequency near `omega`.
+
+    Args:
+        omega: requested frequency [rad/s].
+        timestep: timestep of the simulation [s].
+        finest: smallest total number of samples.
+    """
     periods = math.ceil(finest * timestep * omega / (2 * np.pi))
     return periods, round(periods * 2 * np.pi / (omega * timestep))
 
 
 def settled_sinusoid(periods: int, count: int, height: float, timestep: float, speed: float) -> PeriodicRoad:
-    """Returns a sinusoid of this height [m] whose signals are read over a number of periods with a number of samples."""
+    """Returns a sinusoidal road whose signals are used at the end of a run.
+
+    Args:
+        periods: number of periods at the end of the run.
+        count: number of samples in these periods.
+        height: height from trough to crest [m].
+        timestep: timestep of the simulation [s].
+        speed: forward velocity [m/s].
+    """
     omega = 2 * np.pi * periods / (count * timestep)
     return PeriodicRoad(sinusoid(omega, speed).scaled(height / 2), np.array([omega]), count, fitted=False)
 
 
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
-    """Frequencies of the largest sinusoids that a controller makes besides the road's, as it samples every few steps [rad/s]."""
+    """Returns the frequencies of the largest images [rad/s]: sinusoids that sampling adds at sums with the sample rate.
+
+    They exist only if the sample period of the controller is longer than the timestep.
+    """
     steps = steps_per_sample(vehicle.implementation, timestep)
     rate = 2 * np.pi / (steps * timestep)
     orders = rate * np.arange(1, min(IMAGES, steps // 2) + 1)[:, None]
@@ -200,15 +228,21 @@ def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
 
 
 def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
-    """Returns how long a run along a periodic road settles [s], and the poles of what is left then, from sample to sample."""
+    """Returns the settling time over a periodic road [s], and the discrete poles of the motion that then remains.
+
+    Args:
+        loop: the loop.
+        left: relative size of free motion at the end of the settling time.
+    """
     poles = np.linalg.eigvals(loop.closed_loop.A)
     slow = poles[np.abs(poles) > left ** (loop.period / PATIENCE)]
     return (PATIENCE, slow) if len(slow) else (loop.period / len(loop.by_step) * math.log(left) / math.log(radius(loop)), slow)
 
 
 def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
-    """Returns the free motions of the loop over some samples, shape (samples, k), without those that decay in as many before
-    them.
+    """Returns the shapes of the free motion over the evaluated samples, shape (samples, k).
+
+    Modes that decay within as many samples before the evaluated ones are omitted.
     """
     if steps_per_sample(vehicle.implementation, timestep) > 1:
         if controller.measured:
@@ -221,15 +255,16 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
 
 
 def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Array) -> Response:
-    """Returns a run along a periodic road without its mean and its slowest modes, which are fitted by least squares.
+    """Returns the end of a run over a periodic road without its mean and its slowest modes, which are fitted by least squares.
 
-    From sample to sample each line of the road turns by an angle, and a mode is multiplied by its pole, at each step of a sample
-    alike. No such decay looks like turning over many samples.
+    From one sample to the next, the phase of each line advances by an angle, and each mode is multiplied by its pole. Over many
+    samples, a decaying mode and a line differ clearly.
 
     Args:
-        response: end of the run, long enough to separate the two.
-        poles: poles of the slow modes, from sample to sample.
-        turns: phase angles of the road's lines from sample to sample [rad], shape (L,).
+        loop: the loop.
+        response: end of the run, long enough to separate modes and lines.
+        poles: discrete poles of the slow modes per sample period.
+        turns: phase advance of each line per sample period [rad], shape (L,).
     """
     if not len(poles) or not np.all(np.isfinite(response.values)):
         return response

@@ -1,4 +1,4 @@
-"""Results of a sweep, its claims, and its JSON object."""
+"""Results of a sweep for linear controllers, the check of its claims, and its JSON object."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -23,49 +23,49 @@ from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
-# Beside RK4's own error, which is known:
-TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
-SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # share of the road's height, and least height [m], at which turning is told from error
-ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
-NORM_TOLERANCE = 1e-3  # below the norm
+# Allowed differences in addition to the error of RK4, which is known:
+TOLERANCE = 1e-4  # relative difference of a response, due to rotations of the body; roads of 0.1 mm cause only 3e-7
+SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # relative height, and smallest height [m], of a road that shows whether rotations cause it
+ABOVE = 1e-5  # relative excess of a gain above the norm, due to remaining free motion
+NORM_TOLERANCE = 1e-3  # relative difference of a gain below the norm
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
 GAIN = Field[float]("L2 gain", lambda one: one, digits)
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Results of one controller: its frequency response, and its largest gains."""
+    """Results of one linear controller: frequency response, largest gains and minimum tyre loads."""
 
     lines: Lines
     extremes: Extremes
-    sampled: SampledNorm | None  # of the loop as implemented, exact; None without [implementation], or if the road is known
-    loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
-    without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
-    small: Lines | None = None  # over a tenth or a hundredth of the height, if lines are off and the vehicle turns or has curves
+    sampled: SampledNorm | None  # exact norm of the implemented loop; None without [implementation], or with preview
+    loads: tuple[MinimumLoad, ...]  # minimum load of each tyre in the EUSAMA test
+    without: str  # text with the noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
+    small: Lines | None = None  # response over a road of 1/10 or 1/100 of the height, if nonlinearity may explain a difference
 
     @property
     def controller(self) -> Controller:
-        """Returns the controller."""
+        """Controller of the sweep."""
         return self.lines.controller
 
     @property
     def is_bounded(self) -> bool:
-        """Returns False for the stable loop of a law for study that has no finite norm."""
+        """False if the loop is stable but has no finite norm, which is possible only for laws for study."""
         return not self.controller.certificate.stable or math.isfinite(self.controller.certificate.norm.value)
 
     @property
     def worst_omega(self) -> float:
-        """The worst sinusoid that was driven [rad/s]."""
+        """Frequency of the simulated worst sinusoid [rad/s]."""
         return self.extremes.tried
 
     @property
     def ended(self) -> tuple[str, ...]:
-        """Returns the ends of the linear regime in any of the runs."""
+        """Names of the limits that ended the linear regime in any of the runs."""
         return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended)))
 
     @property
     def gains(self) -> dict[str, float]:
-        """L2 gain by road."""
+        """L2 gains from w to z by road."""
         return {**self.extremes.gains, **({} if self.lines.gain is None else {"chirp": self.lines.gain})}
 
 
@@ -77,9 +77,10 @@ def sweep(
     speed: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Sweep]:
-    """Returns the sweep of every controller. `progress` is called with each of two stages, `LINES` and `EXTREMES`.
+    """Measures the sweep of each linear controller.
 
-    Other arguments and errors as for `sim.studies.frequency.identification.measure_responses`.
+    Arguments and errors are those of `sim.studies.frequency.identification.measure_responses`. The callback `progress` receives
+    the names of the two stages, `LINES` and `EXTREMES`.
     """
     progress(LINES)
     near = at_rest(vehicle)
@@ -106,14 +107,20 @@ def sweep(
 
 
 def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if a reading contains the road's velocity: a mean over a timestep here, over a period in the sampled norm."""
+    """Returns True if a measurement contains the road velocity directly.
+
+    The sampled norm averages such a measurement over a sample period, but MuJoCo averages it over a timestep, so the two
+    differ.
+    """
     model = vehicle.linear_model
     return bool(np.any(model.Dw[[model.outputs.index(name) for name in controller.measured]]))
 
 
 def _off(lines: Lines) -> tuple[float, float, str, bool]:
-    """Returns the worst difference of a line from the sampled response, what is allowed of it, its signal, and whether the
-    timestep is too coarse for it.
+    """Returns the measured response with the largest difference from the sampled response, relative to the allowed difference.
+
+    Returns:
+        Difference, allowed difference, name of the signal, and True if the timestep is too large for this frequency.
     """
     off = difference(lines.measured, lines.sampled, lines.units)
     integrator = SLACK * difference(lines.integrated, lines.sampled, lines.units)
@@ -123,7 +130,7 @@ def _off(lines: Lines) -> tuple[float, float, str, bool]:
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
-    """Returns the failed claims of a sweep, in words; of a nonlinear law, without claims, that nothing was measured."""
+    """Returns a text for each failed claim of a sweep. For a nonlinear law, the only failure is that nothing was measured."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
     code = one.controller.code
@@ -133,9 +140,9 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 
 
 def _failures(one: Sweep, rounds: bool) -> list[str]:
-    """Returns the failed claims of a linear law, in words; `rounds` is True for exported code with fixed point."""
+    """Returns a text for each failed claim of a linear law. `rounds` is True for exported code in fixed-point arithmetic."""
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
-    # What turning makes of a line goes with the road's height.
+    # The effect of rotations decreases with the height of the road, so the response over the lower road decides.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
         why = "; the timestep is too coarse, give a smaller timestep" if coarse and not rounds else ""
@@ -162,19 +169,27 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
 
 
 def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float, low: float, high: float) -> list[str]:
-    """Returns in words that the gain over a road is not from `low` to `high`, as a reference value asks; empty if it is."""
+    """Returns a text if the gain over a road is outside the range from `low` to `high`; an empty list otherwise.
+
+    Args:
+        road: name of the road.
+        gains: gains by name of the road.
+        what: name of the reference value, for the text.
+        value: reference value.
+        low, high: allowed range.
+    """
     if low <= gains[road] <= high:
         return []
     return [f"the {road} has an L2 gain of {GAIN.text(gains[road])}; {what} is {GAIN.text(value)}"]
 
 
 def holds(one: Sweep | DescribingFunction) -> bool:
-    """Returns True if every claim holds within the linear regime, and a run was measured."""
+    """Returns True if all claims hold, or a run with a linear law left the linear regime. Nonlinear laws need a measured run."""
     return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
 
 
 def _signals(one: Sweep) -> dict[str, Any]:
-    """Returns the responses of every output signal for JSON, and their largest errors."""
+    """Returns the responses of each output signal and their largest errors for JSON."""
     lines = one.lines
     error = {"sampled": lines.error(lines.sampled), "continuous": lines.error(lines.continuous)}
     return {
@@ -206,5 +221,5 @@ RECORD = Record[Sweep](
 
 
 def record(one: Sweep | DescribingFunction) -> dict[str, Any]:
-    """Returns a sweep or a describing function as a JSON object: SI units, complex numbers as [real, imaginary]."""
+    """Returns a sweep or a describing function as a JSON object in SI units. Complex numbers are [real, imaginary]."""
     return describing_function.RECORD(one) if isinstance(one, DescribingFunction) else RECORD(one)

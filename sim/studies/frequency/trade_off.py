@@ -1,4 +1,4 @@
-"""The section of a report on a trade-off: the front, its proved lower bound, and the values measured in MuJoCo at some points."""
+"""The section of a report about a trade-off: the front, its proved lower bound, and gains of some designs in MuJoCo."""
 
 import math
 from collections.abc import Callable
@@ -24,24 +24,28 @@ from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
 from synth.vehicle.trade_off.report import describe
 
-SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s: slow sinusoids, for a norm that is reached at frequency 0
-TURN = 0.005  # rad of the sinusoid in a step
-NEXT = 1e-3  # relative distance of the gain from such a norm
+SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s, frequencies to try for a norm that is reached at frequency 0
+TURN = 0.005  # rad, largest phase advance of the sinusoid in one timestep
+NEXT = 1e-3  # allowed relative distance of the gain from such a norm
 TITLE = "Trade-off between objectives"
 
 
 def check_front(vehicle: Vehicle, text: str) -> None:
-    """Checks that the section is possible, before the work.
+    """Checks that the section is possible, before controllers are designed.
+
+    Args:
+        vehicle: the vehicle.
+        text: axes in the syntax of `--front`.
 
     Raises:
-        InputError: bad axes, or no controller that a front can be designed for.
+        InputError: the axes are invalid, or the vehicle has no controller for which a front can be designed.
     """
     axes_of(vehicle, text)
     entry_of(vehicle, usual(vehicle))
 
 
 def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
-    """Returns the front of the usual controller, or the reason why it is missing."""
+    """Returns the section about the trade-off of the default controller, or a section with the reason why it has none."""
     vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
     assert given is not None, "no axes"
     axes = axes_of(vehicle, given)
@@ -61,7 +65,7 @@ def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
         together = ", with all wheels on one road, which need not be the worst" if len(vehicle.kind.wheels) > 1 else ""
         texts.append(
             f"MuJoCo reaches {SHARE.digits(shares.min())} to {SHARE.digits(shares.max())} % of the continuous norms on the "
-            f"sinusoid where each norm is reached{together}. In a timestep the sinusoid turns by at most {TURN:g} rad."
+            f"sinusoid where each norm is reached{together}. Its phase advances by at most {TURN:g} rad per timestep."
         )
     return replace(document, blocks=(*document.blocks, *notes(*texts)))
 
@@ -70,7 +74,15 @@ SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
 def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
-    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm on an axis is reached; NaN without one."""
+    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if it cannot be measured.
+
+    Args:
+        scope: subject of the report.
+        trade_off: the front.
+        i: index of the design.
+        axis: axis of the front, which defines the norm.
+        turn: largest phase advance of the sinusoid in one timestep [rad].
+    """
     controller, k = trade_off.points[i].controller, trade_off.axes.index(axis)
     norm = trade_off.points[i].norms[k]
     if axis.off or not norm.value or controller.hardware.loads or any(controller.hardware.noise):
@@ -85,13 +97,20 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
     road = settled_sinusoid(*whole_periods(omega, step), AMPLITUDE, step, 12.5)
     try:
         (run,) = drive_periodic(vehicle, [controller], [road], step)
-    except InputError:  # it takes too many samples
+    except InputError:  # the run has too many samples
         return math.nan
     return settled_gain(vehicle, run.last_periods(), road.omega[0])
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
-    """Returns a frequency of slow sinusoids at which a norm is nearly reached [rad/s], or NaN if there is no such frequency."""
+    """Returns a frequency to simulate at which a norm is reached or nearly reached [rad/s]; NaN if there is no such frequency.
+
+    Args:
+        vehicle: vehicle with the outputs of the norm.
+        controller: the controller.
+        norm: value of the norm.
+        at: frequency at which the norm is reached [rad/s]; may be 0.
+    """
     if at >= SLOW[0]:
         return at
     loop = controller.loop(vehicle)

@@ -1,7 +1,6 @@
-"""The largest L2 gain in MuJoCo by a sinusoid, beside those of a bump and of a random road.
+"""L2 gains in MuJoCo: the largest gain, on the worst sinusoidal road, and the gains on a bump and on a random road.
 
-With the largest gain of a sinusoid come the transmissibilities that no suspension force can change, of kinds of vehicle that have
-such.
+The module also measures the transmissibilities that no suspension force can change, if the vehicle type has such invariants.
 """
 
 import math
@@ -41,20 +40,20 @@ from sim.studies.frequency.sinusoids import (
 )
 from synth.controller.controller import Controller
 
-DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
-BESIDE, DOUBLINGS = 3e-4, 6  # relative; how far below its peak it may be, and how often it has twice the samples for that at most
+DURATION = 20.0  # s, duration of all runs except that over the worst sinusoid, whose duration depends on its settling time
+BESIDE, DOUBLINGS = 3e-4, 6  # allowed relative distance of the gain from its peak, and largest number of refinements for this
 
 
 @dataclass(frozen=True)
 class MeasuredInvariant:
-    """A transmissibility from the road's displacement that no suspension force can change, see `models.kinds.kind.Invariant`.
+    """A transmissibility from the road height that no suspension force can change, see `models.kinds.kind.Invariant`.
 
     Attributes:
         name: name of the quantity.
         omega: frequency [rad/s].
         expected: expected magnitude.
         measured: magnitude in MuJoCo.
-        allowed: twice the relative difference due to holding the road over a step, (omega h)^2 / 24.
+        allowed: allowed relative difference: twice (omega h)^2 / 24, the error because MuJoCo holds the road over a timestep h.
     """
 
     name: str
@@ -65,7 +64,7 @@ class MeasuredInvariant:
 
     @property
     def error(self) -> float:
-        """Relative difference."""
+        """Relative difference between measured and expected magnitude."""
         return abs(self.measured / self.expected - 1)
 
 
@@ -74,16 +73,16 @@ class Extremes:
     """Largest gains of one controller.
 
     Attributes:
-        worst: gain and frequency of the worst sinusoid of the sampled loop over a road that is held over every step, as MuJoCo
-            holds it: its held-road norm, which `synth.analysis.sampled_norm` does not hold it for.
-        integrated: gain of the worst sinusoid of the loop as RK4 makes it.
-        tried: the frequency that was driven [rad/s], next to it.
-        predicted: gain at that frequency with all harmonics, at the run's step and at half of it; empty if `lti`.
-        gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone if the road has a filter.
+        worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
+            timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
+        integrated: the same norm for the loop as RK4 integrates it.
+        tried: frequency of the simulated sinusoid near the worst one [rad/s].
+        predicted: gain at `tried` with all harmonics, at the timestep and at half the timestep; empty if `lti`.
+        gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
         invariants: transmissibilities of this vehicle that no suspension force can change.
-        ended: ends of the linear regime in any of the runs.
-        lti: True if the sampled loop is time-invariant, because the controller samples at every step. Otherwise its norm here
-            leaves out the harmonics, and bounds no gain.
+        ended: names of the limits that ended the linear regime in any of the runs.
+        lti: True if the sampled loop is time-invariant, because the controller samples at every timestep. If False, `worst`
+            omits the harmonics, so a gain can be larger than this norm.
     """
 
     worst: WorstSinusoid
@@ -99,9 +98,9 @@ class Extremes:
 def extremes(
     vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float
 ) -> list[Extremes]:
-    """Drives every controller over a bump, a random road, its invariants' frequencies and its worst sinusoid.
+    """Simulates each controller over a bump, a random road, a road with the invariants' frequencies, and its worst sinusoid.
 
-    Arguments and errors as for `sim.studies.frequency.identification.measure_responses`.
+    Arguments and errors are those of `sim.studies.frequency.identification.measure_responses`.
     """
     check(vehicle, controllers, amplitude, timestep)
     vehicle = ideal_measurements(vehicle)
@@ -140,7 +139,7 @@ def extremes(
 
 
 def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -> PeriodicRoad | None:
-    """Returns the road with the frequencies of a vehicle's invariants, read over half of the time; None without any."""
+    """Returns a road with the frequencies of the vehicle's invariants, evaluated over half of a run; None without invariants."""
     omega = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants_of(vehicle.parameters)]
     if not omega:
         return None
@@ -149,8 +148,8 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns whole periods, as `whole_periods`, so near the worst sinusoid that a narrow peak is met, too."""
-    steps = steps_per_sample(vehicle.implementation, timestep)  # whole samples, too, so that every run of them is the same
+    """Returns numbers of periods and samples, as `whole_periods`, with a frequency close enough to a narrow peak of the gain."""
+    steps = steps_per_sample(vehicle.implementation, timestep)  # the periods must also contain whole samples of the controller
     finest = math.ceil(FINEST / steps)
     periods, count = whole_periods(worst.omega, timestep * steps, finest)
     for k in range(1, DOUBLINGS + 1):
@@ -163,7 +162,7 @@ def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, tim
 
 
 def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
-    """Returns the invariants of a vehicle, measured at the end of a run along them."""
+    """Returns the invariants of a vehicle, measured at the end of a run over the road of `_invariants`."""
     p, kind = run.vehicle.parameters, run.vehicle.kind
     lines = run.lines(with_images=True)
     road = lines[kind.wheels[0].road_displacement]
@@ -176,7 +175,15 @@ def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
 
 
 def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: float, speed: float) -> float:
-    """Returns the gain of one road under all wheels from w to z, with all frequencies that held forces add."""
+    """Returns the gain from w to z over a sinusoidal road, including the frequencies that held forces add.
+
+    Args:
+        vehicle: the vehicle.
+        controller: the controller.
+        omega: frequency of the road [rad/s].
+        h: timestep [s].
+        speed: forward velocity [m/s].
+    """
     at = np.array([omega])
     values, leaps = stepwise_frequency_response(vehicle, controller, at, h)
     shape, angle = vehicle.road_shape(at)[:, None, None], math.remainder(omega * (len(values) - 1) * h, 2 * math.pi)
@@ -188,12 +195,13 @@ def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: fl
 
 
 def _lines(vehicle: Vehicle, angle: float, signals: Array, h: float) -> Array:
-    """Returns lines of z, whose squares are its mean square, shape (N p, L, r).
+    """Returns the complex Fourier coefficients of z, shape (N p, L, r). The sum of their squares is the mean square of z.
 
     Args:
-        angle: phase angle of the road from sample to sample [rad].
-        signals: signals at the N steps of a sample, shape (N, L, r, p).
-        h: the step [s].
+        vehicle: the vehicle, with the weights of z.
+        angle: phase advance of the road per sample period [rad].
+        signals: signals at the N steps of a sample period, shape (N, L, r, p).
+        h: timestep [s].
     """
     steps = len(signals)
     turned = np.exp(-1j * angle * np.arange(steps) / steps)[:, None, None, None] * signals

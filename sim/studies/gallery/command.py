@@ -1,4 +1,4 @@
-"""The study of published results: each published number next to ours."""
+"""The study of published results: compares each published number with the number that Roadproof computes."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class GalleryStudy(Study["list[Result]"]):
-    """Numbers of entries of the gallery, compared."""
+    """Study that compares the published numbers of gallery entries with those that Roadproof computes."""
 
     description = "Compare published results on suspensions with the results of Roadproof."
     epilog = """

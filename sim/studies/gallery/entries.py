@@ -1,4 +1,4 @@
-"""Entries of the gallery: published numbers of a source, read from `models/gallery/NAME/entry.toml`."""
+"""Entries of the gallery. An entry contains the published numbers of one source, from `models/gallery/NAME/entry.toml`."""
 
 import math
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from synth.vehicle.paper import PRINTED_NUMBERS
 
 FOLDER = kind.HERE / "gallery"
 PAPER = "paper"
-CAR = "car.toml"  # the usual vehicle file of an entry
-PAPER_BUMP = Bump()  # the paper's bump, the usual road
-SHORT = 1e-3  # relative: what the paper's solver stopped short by, in every number
+CAR = "car.toml"  # default vehicle file of an entry
+PAPER_BUMP = Bump()  # the paper's bump, the default road
+SHORT = 1e-3  # largest relative error of the paper's numbers, because its solver stopped before the optimum
 
 
-# Published results that the gallery is about. An entry says which it holds, with numbers or with the reason why there are none.
+# Published sources that the gallery considers. Each entry lists its sources, with numbers or with a reason why it has no numbers.
 SOURCES = (
     "MathWorks, H-infinity",
     "MathWorks, robust",
@@ -45,7 +45,7 @@ SOURCES = (
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> Road:
-    """Returns the road of a table; without its `type` it is a bump, or with an `edge` a step."""
+    """Returns the road of a table. Without the key `type`, a table with `edge` is a step, and any other table is a bump."""
     if not isinstance(value, Mapping):
         raise InputError(f"{HERE} = {short_repr(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
     return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
@@ -53,7 +53,7 @@ def _road(value: Any, context: Mapping[str, Any]) -> Road:
 
 @dataclass(frozen=True)
 class PrintedNumber(Section):
-    """Number that a source prints."""
+    """A published number, with the vehicle, controller, signal and run from which it follows."""
 
     what: Annotated[str, Text("type of the number, a key of `sim.studies.gallery.numbers.KINDS`")]
     value: Annotated[float, SI("", "value as published, in `unit`", -LARGEST)]
@@ -81,7 +81,7 @@ class PrintedNumber(Section):
 
     @property
     def text(self) -> str:
-        """Description in a few words."""
+        """Short name of the number, such as `peak sprung_acceleration`."""
         name = self.symbol or f"{self.what} {self.signal or self.controller}"
         where = f"[{', '.join(map(str, self.at))}]" if self.at else ""
         vehicle = "" if self.symbol or self.vehicle == CAR else f", {self.vehicle.removesuffix('.toml')}"
@@ -89,14 +89,14 @@ class PrintedNumber(Section):
 
     @property
     def shown(self) -> str:
-        """The printed value with its digits and unit, in brackets if it is derived."""
+        """Published value with its digits and unit, in brackets if the value is derived."""
         text = f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
         return f"({text})" if self.derived else text
 
 
 @dataclass(frozen=True)
 class MissingNumber(Section):
-    """Number of a source that no vehicle file can express."""
+    """A published number that cannot be compared, because no vehicle file can express its model."""
 
     what: Annotated[str, Text("the number, in words")]
     why: Annotated[str, Text("reason for the missing number, in a line")]
@@ -108,7 +108,7 @@ NUMBERS, REASONS = (Subsection("", (one,), "a table in double brackets") for one
 
 @dataclass(frozen=True)
 class Entry(Section):
-    """Source and its numbers."""
+    """An entry of the gallery: a source and its published numbers."""
 
     name: Annotated[str, Text("name of its folder")]
     title: Annotated[str, Text("title of the publication")]
@@ -121,12 +121,12 @@ class Entry(Section):
 
     @property
     def folder(self) -> Path:
-        """Folder of its vehicle files."""
+        """Folder with the vehicle files of the entry."""
         return FOLDER / self.name
 
 
 def names() -> list[str]:
-    """Returns the names of all entries; the paper's is the first."""
+    """Returns the names of all entries. The entry of the paper is the first."""
     return [PAPER, *sorted(path.parent.name for path in FOLDER.glob("*/entry.toml"))]
 
 
@@ -145,7 +145,7 @@ def read_entry(name: str) -> Entry:
 
 
 def _paper() -> Entry:
-    """Returns the paper's own numbers, from `synth.vehicle.paper`, as an entry like the others."""
+    """Returns the entry of the paper, whose numbers are in `synth.vehicle.paper`."""
     printed = tuple(
         PrintedNumber(
             what="paper",

@@ -1,4 +1,4 @@
-"""Numbers of the gallery, computed here: exactly, and in MuJoCo where a run shows them."""
+"""Computation of the numbers in the gallery, by linear analysis and, if a run shows the number, in MuJoCo."""
 
 import math
 from collections.abc import Callable
@@ -23,23 +23,23 @@ from synth.plant.generalized import Plant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
-OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # kinds of numbers
+OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types of numbers that come from a step response
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
-ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
-REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
+ON_AXIS = 1e-12  # real or imaginary part below which a part of a pole counts as 0, relative to the magnitude of the pole
+REAL = 1e-6  # real part below which a zero counts as imaginary, relative to its magnitude
 
 
 @dataclass(frozen=True)
 class ComparedNumber:
-    """Published number next to ours.
+    """A published number, and the same number computed by Roadproof. All values have the unit of the source.
 
     Attributes:
-        printed: the number of the source.
-        exact: value of linear analysis, in the unit of the source.
-        mujoco: value in a run of MuJoCo, in that unit; None if no run shows it.
-        grid: value of linear analysis at the samples of the source's grid, in that unit; None without a grid.
+        printed: published number.
+        exact: value from linear analysis.
+        mujoco: value in a MuJoCo run; None if no run shows the number.
+        grid: value from linear analysis at the sample times of the source; None if these are unknown.
     """
 
     printed: PrintedNumber
@@ -49,8 +49,11 @@ class ComparedNumber:
 
     @property
     def verdict(self) -> str:
-        """The verdict: the exact value, or without a reason the one on the source's grid, rounds to all published digits; it
-        differs by no more than the reason explains; or neither.
+        """Verdict of the comparison.
+
+        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the samples of the source
+        does, and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the given reason.
+        `WRONG`: none of these.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)
@@ -67,12 +70,12 @@ def _designer(path: str) -> Designer:
 
 
 def designer_of(entry: Entry, one: PrintedNumber) -> Designer:
-    """Returns the designs of the vehicle that a number is of."""
+    """Returns the designer for the vehicle of a number."""
     return _designer(one.vehicle if one.what == "paper" else str(entry.folder / one.vehicle))
 
 
 def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the proved bound on mu with performance."""
+    """Returns the proved bound on the structured singular value mu with performance."""
     bounds = [promise.proved for promise in designer.design(one.controller).robustness if promise.what == ROBUST_PERFORMANCE]
     if not bounds or bounds[0] is None:
         raise InputError(f"controller {one.controller!r} has no weighted errors; give a weight in its tolerance")
@@ -80,7 +83,7 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the smallest frequency above 0 at which no force changes a signal, a zero on the imaginary axis."""
+    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero from the first force to a signal."""
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])
@@ -94,23 +97,24 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _ratio(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the amplitude of a signal over that of the road's velocity under the first wheel."""
+    """Returns the amplitude of a signal divided by the amplitude of the road velocity under the first wheel."""
     omega = np.array([2 * np.pi * one.hertz])
     response = continuous_frequency_response(designer.vehicle, designer.design(one.controller), omega)
     return float(np.abs(response[0, designer.vehicle.linear_model.outputs.index(one.signal), 0]))
 
 
 def _white(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the rms of a signal of the passive car on a road whose velocity is white noise of intensity one."""
+    """Returns the rms of a signal of the passive vehicle, if the road velocity is white noise with intensity 1."""
     model = designer.vehicle.linear_model
     row = model.C[[model.outputs.index(one.signal)]]
     return h2_norm(Plant.without_inputs(model.A, model.Bw, row, np.zeros((1, model.Bw.shape[1]))))
 
 
 def _pole(designer: Designer, one: PrintedNumber) -> float:
-    """Returns a part of a pole of the continuous loop.
+    """Returns the real or imaginary part of a pole of the continuous loop [1/s].
 
-    `at` is its number by rising real part, then by size, of each pair one; and 0 for the real or 1 for the imaginary part.
+    `one.at` contains the number of the pole, and 0 for its real or 1 for its imaginary part. Poles are numbered by increasing
+    real part, then by increasing magnitude. A complex pair counts once.
     """
     loop = designer.design(one.controller).loop(designer.vehicle)
     poles = np.linalg.eigvals(loop.A)
@@ -120,17 +124,17 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
             f"at = {list(one.at)} does not name a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
         )
     k, part = one.at
-    level = np.round(poles.real / np.abs(poles).max(), 9)  # of marginal poles rounding decides no order
+    level = np.round(poles.real / np.abs(poles).max(), 9)  # rounded, so that errors do not decide the order of undamped poles
     pole = poles[np.lexsort((np.abs(poles), level))][k]
     value = float(pole.imag if part else pole.real)
     return value if abs(value) > ON_AXIS * abs(pole) else 0.0
 
 
 def _recovery(designer: Designer, one: PrintedNumber) -> float:
-    """Returns when a signal stays within a band around zero, from when the road begins [s].
+    """Returns the time from the start of the road until a signal stays within a band around zero [s].
 
     Raises:
-        InputError: the signal does not settle, or is never outside the band.
+        InputError: the signal does not settle, or never leaves the band.
     """
     begins = getattr(one.road, "start", 0.0)
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
@@ -140,7 +144,11 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
-    """Returns how a metric of a signal's response to a step is found, of the continuous loop."""
+    """Returns a function that computes a metric of a signal's step response in the continuous loop.
+
+    Args:
+        key: name of the metric, one of `OF_A_STEP`.
+    """
 
     def found(designer: Designer, one: PrintedNumber) -> float:
         metrics = _steps(run_of_number(designer, one), one.band)[one.signal].continuous
@@ -153,7 +161,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
 
 
 def run_of_number(designer: Designer, one: PrintedNumber) -> Run:
-    """Returns the run that a number is of, the same one for all numbers of the same run."""
+    """Returns the run from which a number comes. Numbers with the same run share one `Run` object."""
     return _run(designer, one.controller, one.road, one.duration, one.timestep)
 
 
@@ -164,7 +172,7 @@ def _run(designer: Designer, controller: str, road: Road, duration: float, times
 
 
 def pieces_of(designer: Designer, one: PrintedNumber) -> Pieces:
-    """Returns a number's signal over its run, exact between samples."""
+    """Returns the signal of a number over its run, exact between samples."""
     return _pieces(run_of_number(designer, one))[one.signal]
 
 
@@ -179,7 +187,7 @@ def _steps(run: Run, band: float) -> dict[str, SignalSteps]:
 
 
 def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
-    """Returns a number in MuJoCo, in SI units; None if no run shows it, or if the run leaves the linear regime."""
+    """Returns the value of a number in MuJoCo, in SI units; None if no run shows it, or if its run leaves the linear regime."""
     if one.what not in OF_A_RUN or one.what == "recovery" or not math.isinf(run_of_number(designer, one).agreement.until):
         return None
     run = run_of_number(designer, one)
@@ -189,9 +197,9 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
 
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
-    """Returns a number of a run as the source sees it, at the samples of its own grid.
+    """Returns a number of a run, computed only from the samples of the source, in SI units.
 
-    A time from which a signal stays within a band is the first sample of the grid within it.
+    A settling or recovery time is that of the first sample after which the signal stays within the band.
     """
     least = one.timestep / 10
     if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:
@@ -218,7 +226,7 @@ def _paper(designer: Designer, one: PrintedNumber) -> float:
     return float(value[one.at] if isinstance(value, np.ndarray) else value)
 
 
-# The value of linear analysis of each kind of number, in SI units.
+# Functions that compute each type of number by linear analysis, in SI units.
 KINDS: dict[str, Callable[[Designer, PrintedNumber], float]] = {
     "norm": lambda designer, one: designer.design(one.controller).certificate.norm.value,
     "gain": lambda designer, one: float(designer.design(one.controller).law.D[one.at]),
@@ -237,7 +245,7 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], float]] = {
 
 
 def compare_numbers(entry: Entry) -> list[ComparedNumber]:
-    """Returns the published numbers of an entry next to ours, in the order of the entry.
+    """Computes the numbers of an entry, and returns them with the published numbers in the order of the entry.
 
     Raises:
         InputError: the type, signal, controller or vehicle file of a number is unknown.

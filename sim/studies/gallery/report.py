@@ -1,4 +1,4 @@
-"""The gallery as documents and as JSON: published numbers next to ours, and the sources that are in it."""
+"""Output of the gallery as documents and as JSON: published and computed numbers, and the list of sources."""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -31,7 +31,7 @@ COUNTS: tuple[Field[Result], ...] = (
 
 
 def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
-    """Returns the document of an entry."""
+    """Returns the document of an entry: its origin, reasons for differences, and a table of the numbers."""
     wrong, exact = [one for one in numbers if one.verdict == WRONG], NUMBERS[3]
     fails = [f"{one.printed.text} is {WRONG}: {exact.cell(one)}, not {one.printed.shown}." for one in wrong]
     origin = f"Entry `{entry.name}`.", entry.about, f"Source: {entry.source}. Licence: {entry.licence}."
@@ -45,7 +45,7 @@ def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
 
 
 def summary(results: Sequence[Result]) -> Document:
-    """Returns the document on the whole gallery: how many numbers are reproduced, and which sources are in it."""
+    """Returns the document about several entries: how many numbers are reproduced, and which sources the gallery contains."""
     counts = [[int(field.cell(one)) for field in COUNTS[2:]] for one in results]
     reproduced, differ, wrong, missing = (sum(each) for each in zip(*counts, strict=True))
     derived = sum(one.printed.derived for _, numbers in results for one in numbers)
@@ -68,7 +68,7 @@ def _numbers(count: int) -> str:
 
 
 def sources(entries: Sequence[Entry]) -> tuple[list[str], list[str]]:
-    """Returns the sources of entries: those with numbers, and those that are not expressible."""
+    """Returns two lists of sources: those with numbers, and those whose numbers cannot be expressed in a vehicle file."""
     with_numbers = {name for entry in entries for name in entry.sources}
     without = {lack.source for entry in entries for lack in entry.missing}
     return [one for one in SOURCES if one in with_numbers], [one for one in SOURCES if one in without - with_numbers]

@@ -1,9 +1,10 @@
-"""Signals between their samples, as polynomials: extrema, crossings and integrals by location, and not by the nearest sample.
+"""Signals between their samples, as polynomials, from which extrema, crossings and integrals follow without sampling errors.
 
-A piece is one timestep, or a part of one while wheels are on an edge of a few steps or less. A linear response is exact at any
-time, so that each piece has as many points as a polynomial takes: one of degree 8 follows a mode of 1 rad a step to 1e-11.
-Samples alone, as MuJoCo's, are joined by cubics through the four nearest; a held force is constant from one sample to the next.
-No polynomial goes over a vertical edge of the road or a decision (`sim.drive.jumps`): it ends at the value on its own side.
+A signal consists of pieces, one polynomial per timestep. Shorter pieces are used while wheels pass an edge that is only a few
+steps long. A linear response is known exactly at any time, so each piece has enough points for its polynomial. Degree 8
+describes a mode of 1 rad per step with an error of 1e-11. A MuJoCo signal is known only at its samples. Each piece is then a
+cubic through the four nearest samples; a held force is constant from one sample to the next. No polynomial crosses a vertical
+edge of the road or a switching instant (`sim.drive.jumps`): each side ends with its own value.
 """
 
 import itertools
@@ -22,22 +23,22 @@ from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
 from sim.runs.run import Run
 
-DEGREE = 8  # of the polynomial of a step
-PER_GAP = 8  # pieces of a road between two of its kinks, or more
-MOST_POINTS = 2_000_000  # of a response between samples; of longer runs a polynomial has a lower degree
-BULGE = 0.1  # of its range: by more than this a polynomial of a step does not exceed its points
-EARLY = 1e-6  # of a step: what begins so much earlier begins then
-ROUNDING = 1e-13  # of the largest value: less is no change of sign
+DEGREE = 8  # degree of the polynomial of a piece
+PER_GAP = 8  # smallest number of pieces between two adjacent kinks of the road
+MOST_POINTS = 2_000_000  # largest number of points of a response; polynomials of longer runs have a lower degree
+BULGE = 0.1  # largest excess of a polynomial over its points, relative to their range
+EARLY = 1e-6  # tolerance of a time, relative to a step
+ROUNDING = 1e-13  # smallest value that counts as a change of sign, relative to the largest value
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Signal as one polynomial for each step or part of a step.
+    """Signal as K polynomials of degree d, one for each timestep or part of a timestep.
 
     Attributes:
-        start: start of every step [s], shape (K,).
-        length: length of every step [s], shape (K,).
-        values: values at equidistant points of every step, both ends included, shape (K, d + 1).
+        start: start of each piece [s], shape (K,).
+        length: length of each piece [s], shape (K,).
+        values: values at equidistant points of each piece, including both ends, shape (K, d + 1).
     """
 
     start: Array
@@ -45,49 +46,49 @@ class Pieces:
     values: Array
 
     def less(self, value: float) -> "Pieces":
-        """Returns the signal less a constant."""
+        """Returns the signal minus a constant."""
         return replace(self, values=self.values - value)
 
     def times(self, factor: float) -> "Pieces":
-        """Returns the multiplied signal."""
+        """Returns the signal multiplied by a factor."""
         return replace(self, values=self.values * factor)
 
     def before(self, whole: "Pieces", steps: int) -> "Pieces":
-        """Returns these pieces, then those of a whole run but for its first steps."""
+        """Returns these pieces, followed by the pieces of a whole run after its first `steps` pieces."""
         if self.values.shape[1] != whole.values.shape[1]:
             return whole
         both = ((getattr(self, name), getattr(whole, name)[steps:]) for name in ("start", "length", "values"))
         return Pieces(*map(np.concatenate, both))
 
     def since(self, time: float) -> "Pieces":
-        """Returns the steps that begin at a time [s] or later."""
+        """Returns the pieces that begin at a time [s] or later."""
         later = self.start >= time
         return replace(self, start=self.start[later], length=self.length[later], values=self.values[later])
 
     def counted_from(self, time: float) -> "Pieces":
-        """Returns the steps that begin at a time [s] or later, with their times counted from there."""
+        """Returns the pieces that begin at a time [s] or later, with this time subtracted from their times."""
         if not time:
             return self
         later = self.since(time - EARLY * float(self.length[0]))
         return replace(later, start=later.start - time)
 
     def rms(self) -> float:
-        """Returns the root mean square over all steps."""
+        """Returns the root mean square over all pieces."""
         points = self.values.shape[1]
         nodes, weights = np.polynomial.legendre.leggauss(points)
         at_nodes = self.values @ (chebyshev.chebvander(nodes, points - 1) @ _fit(points)).T
         return float(np.sqrt(self.length @ (at_nodes**2 @ weights / 2) / self.length.sum()))
 
     def polynomial(self, k: int) -> Array:
-        """Returns the Chebyshev coefficients of a step, over -1..1."""
+        """Returns the Chebyshev coefficients of piece `k`, whose variable runs from -1 to 1."""
         return _fit(self.values.shape[1]) @ self.values[k]
 
     def time(self, k: int, x: float) -> float:
-        """Returns the time [s] of a point of a step, from -1 to 1."""
+        """Returns the time [s] of a point `x` in piece `k`, where x runs from -1 to 1."""
         return float(self.start[k] + self.length[k] * (x + 1) / 2)
 
     def at(self, times: Array) -> Array:
-        """Returns the values at times within the steps [s], same shape."""
+        """Returns the values at times [s], with the shape of `times`."""
         after = np.searchsorted(self.start, times + ROUNDING * self.length[0], side="right")
         k = np.clip(after - 1, 0, len(self.start) - 1)
         x = 2 * (times - self.start[k]) / self.length[k] - 1
@@ -105,7 +106,10 @@ class Pieces:
         return max([found, *map(self._largest_in, likeliest)], key=lambda one: one[0])
 
     def last_above(self, value: float) -> float | None:
-        """Returns the last time [s] at which the signal's size exceeds a value: infinite at the end, None if it never does."""
+        """Returns the last time [s] at which the magnitude exceeds a value.
+
+        The time is infinite if the magnitude exceeds the value at the end of the signal. None if it never does.
+        """
         size = np.abs(self.values)
         outside = size.max(axis=1) > value
         last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
@@ -122,7 +126,7 @@ class Pieces:
         return self.time(last, max(crossings, default=1.0))
 
     def integral_of_size(self) -> tuple[float, float]:
-        """Returns the integrals of the signal's size, and of its product with time, over all steps."""
+        """Returns the integrals of the magnitude |x|, and of the product t |x| with time t, over all pieces."""
         points = self.values.shape[1]
         weights, lengths = _integral(points) / 2, self.length[:, None]
         at = self.start[:, None] + lengths * (np.linspace(-1, 1, points) + 1) / 2
@@ -143,7 +147,7 @@ class Pieces:
         return float(plain.sum()), float(timed.sum())
 
     def _largest_in(self, k: int) -> tuple[float, float]:
-        """Returns the largest value in a step, and its time [s]."""
+        """Returns the largest value in piece `k`, and its time [s]."""
         coefficients = self.polynomial(k)
         at = np.array([-1.0, *_roots(chebyshev.chebder(coefficients)), 1.0])
         values = chebyshev.chebval(at, coefficients)
@@ -152,10 +156,14 @@ class Pieces:
 
 
 def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals of a run's continuous linear response, exact between samples; empty if there is no such response.
+    """Returns signals of the continuous linear response of a run, exact between samples; empty if there is no such response.
 
-    A polynomial of a step within which the road's velocity has a kink is off by 1e-3 of what the kink does in that step. Where
-    kinks are closer than a few steps, the steps until the last wheel is past them are cut into so many parts that they are not.
+    If the road velocity has a kink within a piece, the polynomial has an error of 1e-3 of the effect of this kink. If kinks are
+    only a few steps apart, the steps until the last wheel has passed them are divided into shorter pieces.
+
+    Args:
+        run: the run.
+        signals: names of the signals.
     """
     if run.vehicle.dampers:
         return {}
@@ -178,7 +186,14 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
 
 
 def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> dict[str, Pieces]:
-    """Returns signals of the continuous response over the first steps of a run, each step cut into so many pieces."""
+    """Returns signals of the continuous response over the first steps of a run.
+
+    Args:
+        run: the run.
+        signals: names of the signals.
+        steps: number of timesteps.
+        cut: number of pieces per timestep.
+    """
     prediction, model, h = run.prediction, run.vehicle.linear_model, run.prediction.timestep
     parts = max(min(DEGREE, MOST_POINTS // (steps * cut)), 2)
     every = parts * cut
@@ -197,20 +212,23 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     for name in signals:
         values = response[name]
         ends = values[parts::parts].copy()
-        if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:  # a held force changes behind its step
+        if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:  # a held force changes after its step
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
-        for k in (k for k in edges if name in response.before and k % parts == 0):  # a piece begins with its own side
+        for k in (k for k in edges if name in response.before and k % parts == 0):  # first value of a piece after an edge
             values[k // parts, 0] = response.before[name][k]
         pieces[name] = Pieces(start, np.full(steps * cut, h / cut), values)
     return pieces
 
 
 def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
-    """Returns pieces cut at jumps of the signal [s], whose polynomials go through points on their own side of a jump.
+    """Returns pieces that are divided at jumps of the signal. Each polynomial uses only points on its side of a jump.
 
-    The points have the value before a jump at its time; with `behind`, a piece that begins there has the value behind it.
+    Args:
+        pieces: pieces of the signal. A point at the time of a jump has the value before the jump.
+        jumps: times of the jumps [s], ascending.
+        behind: True if the first point of a piece that begins at a jump already has the value after the jump.
     """
     for at in (one for one in jumps if 0 <= one < pieces.start[-1]):
         near = EARLY * pieces.length[0]
@@ -232,12 +250,18 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
 
 
 def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals of a response that is known at its samples: cubics between its jumps, and forces as they are held."""
+    """Returns signals of a response that is known only at its samples: cubics between jumps, and constant held forces.
+
+    Args:
+        run: the run.
+        response: response of the run, for example that of MuJoCo.
+        signals: names of the signals.
+    """
     time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
-    held -= {one.force for one in run.vehicle.parts.adjustable}  # a held coefficient makes no constant force
+    held -= {one.force for one in run.vehicle.parts.adjustable}  # a held damping coefficient does not give a constant force
     edges, pieces = road.vertical_edges(), dict[str, Pieces]()
-    early = [k for k, edge in edges.items() if not edge.behind]  # `before` has their values behind the edge
+    early = [k for k, edge in edges.items() if not edge.behind]  # for these, `before` contains the values after the edge
     for name in signals:
         right, left, parts = response[name].copy(), response.before.get(name, response[name]).copy(), list[Array]()
         right[early], left[early] = left[early], right[early]
@@ -250,14 +274,14 @@ def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...])
 
 
 def _cubics(values: Array) -> Array:
-    """Returns four points of each step's cubic, which goes through the four samples next to it, or fewer, shape (T - 1, 4)."""
+    """Returns four points of a cubic for each step, shape (T - 1, 4). The cubic goes through the four nearest samples."""
     count = len(values)
     near = min(count, 4)
     first = np.clip(np.arange(count - 1) - 1, 0, count - near)
     offset = np.arange(count - 1) - first
     grid = np.arange(float(near))
     coefficients = np.empty((count - 1, 4))
-    for where in range(near - 1):  # which of the gaps between these samples the step is
+    for where in range(near - 1):  # position of the step among the gaps between these samples
         rows = np.flatnonzero(offset == where)
         x = where + np.arange(4.0) / 3
         lagrange = np.array([np.prod([(x - m) / (j - m) for m in grid if m != j], axis=0) for j in grid])
@@ -271,13 +295,13 @@ def _fit(points: int) -> Array:
 
 
 def _integral(points: int) -> Array:
-    """Returns the weights of the integral over -1..1 of values at equidistant points."""
+    """Returns the weights of equidistant values in their integral from -1 to 1."""
     even = np.array([2 / (1 - j * j) if j % 2 == 0 else 0.0 for j in range(points)])
     return even @ _fit(points)
 
 
 def _roots(coefficients: Array) -> list[float]:
-    """Returns the real roots within -1..1, in ascending order."""
+    """Returns the real roots between -1 and 1 in ascending order."""
     trimmed = chebyshev.chebtrim(coefficients, 1e-15 * float(np.abs(coefficients).max()))
     roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
     real = np.real(roots[np.abs(np.imag(roots)) < 1e-9])

@@ -1,34 +1,35 @@
-"""Expected metrics of a linear vehicle on a random road, and the remaining transient when measuring begins.
+"""Expected metrics of a linear vehicle on a random road, and the remaining transient when the measurement begins.
 
-The road's vertical velocity is white within its band: the one-sided spectrum (2 pi n0)^2 G_d(n0) V per Hz. Rear wheels follow
-with a delay, and the two tracks have the road's coherency, so wheel j moves by e_j(omega) of two independent white sources. With
-the frequency response H of the loop with its implementation,
+The vertical road velocity is white within its band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per Hz. Rear wheels
+follow with a delay, and the two tracks have the coherence of the road. The velocity of wheel j is therefore e_j(omega) times
+two independent white sources. With the frequency response H of the implemented loop,
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
-If the controller's sample period is several timesteps, the loop is periodic, and H has a value for every step of a period. A
-sinusoid of the road gives images at omega + 2 pi k / period, each weighted at its own frequency. Spectra are by the road's
-frequency and include the images: |H e|^2 of every step, whose mean over the steps is the sum over the images (Parseval). Means
-over time are means over the steps. Spreads and largest values use the mean spectrum.
+If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
+A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is
+a function of the road frequency and includes the images: it contains |H e|^2 of each step, and the mean over the steps is the
+sum over the images (Parseval). Means over time are means over the steps. Spreads and largest values use the mean spectrum.
 
-The band is that of the road's lines plus half a line spacing at both ends: the integral is the sum over the lines, to second
-order in their spacing. Signals are Gaussian (`gaussian.py`). Exact for a stationary linear run are the metrics that are means:
-mean squares, also of the tyre load, which is never negative; shares of time; power and energy of the held force; and the integral
-in the VDV, by E a^4 = 3 sigma^4. Curves of dampers or springs are replaced by equivalent lines (`statistical_linearisation.py`),
-which is approximate.
+The band is that of the frequency lines of the road, plus half a line spacing at both ends. The integral over this band then
+equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary linear
+run, metrics that are means are exact. These are mean squares (also of the tyre load, which is never negative), shares of time,
+and power and energy of the held force. The integral in the VDV is also exact, because E a^4 = 3 sigma^4. Nonlinear springs and
+dampers are replaced by equivalent lines (`statistical_linearisation.py`), which is approximate.
 
-Largest values are approximate, and too large for windows that are short compared with the vehicle's memory. Compared with linear
-responses over 200 roads, for the three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV
-within 2.5 %, crest factors within 5 %, peaks within 7 %, the travel of the passive quarter-car within 12 %. The expected values
-are the larger ones, but for crest factors of well damped loops, which are up to 4 % too small, and 7 % for windows of 3 s. Errors
-are larger for light damping (100 N s/m, at 10 to 35 m/s for 3 and 10 s), and all values too large: VDV 8 %, MTVV 9 %, crest
-factors 14 %, the largest travel 23 %. The spread from road to road, which assumes a window much longer than the memory, is then
-up to 45 % too large.
+Largest values are approximate, and too large for windows that are short compared with the decay time of the vehicle. They were
+compared with linear responses over 200 roads, for three built-in vehicles with `passive`, `I` and `II`, at 10, 20 and 35 m/s
+over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the travel of the passive
+quarter-car. The expected values are too large, except crest factors of well damped loops: these are up to 4 % too small, and up
+to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are too large by up to 8 % (VDV),
+9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up to 45 % too large, because
+it assumes a window much longer than the decay time.
 
-When measuring begins, the response to a line of the road is its steady-state response, less the free response to the state that
-the former has when a wheel enters the road. X_j is the complex amplitude of the states per unit of road velocity at wheel j, x0_j
-their equilibrium with that wheel raised by 1, L the transition over one sample. With wheel j on the road for k_j samples, a
-signal of gain C at time t is
+When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
+response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel
+enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j, x0_j is their equilibrium with
+this wheel raised by 1. L is the transition matrix over one sample. If wheel j has been on the road for k_j samples, a
+signal with the output row C is at time t
 
     A exp(j omega t) - B,    A = sum over j of (C X_j + Cr_j / j omega) e_j,
     B = sum over j of (C L^k_j (X_j - x0_j / j omega) + (C x0_j + Cr_j) / j omega) e_j at the start,
@@ -37,7 +38,7 @@ summed over the wheels on the road. The phases of the lines are independent, so 
 
     |A|^2 + |B|^2 - 2 Re A conj(B) exp(j omega t).
 
-It may exceed its final value: the start excites modes that are slower than the road's lowest line.
+The variance can exceed its final value, because the start excites modes that are slower than the lowest line of the road.
 """
 
 import math
@@ -63,16 +64,16 @@ from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, radius, with_endin
 from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
 
-STILL = 1e-12  # relative to the largest variance in the same unit: a signal with less does not move
+STILL = 1e-12  # variance below which a signal does not move, relative to the largest variance in the same unit
 
 
 @dataclass(frozen=True)
 class RemainingTransient:
-    """The variance of a signal when measuring begins.
+    """The measured signal whose variance differs most from its final value when the measurement begins.
 
     Attributes:
-        share: share of its final value; may exceed 1.
-        signal: the measured signal whose share is furthest from 1.
+        share: variance relative to its final value; may exceed 1.
+        signal: name of the signal.
     """
 
     share: float
@@ -82,15 +83,17 @@ class RemainingTransient:
 def remaining_transient(
     vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
 ) -> RemainingTransient | None:
-    """Returns the measured signal furthest from its final variance when measuring begins, or None for an unstable loop
-    and for a law that is not linear.
+    """Returns the measured signal whose variance differs most from its final value when the measurement begins.
 
-    It is None, too, if a preview has the rear wheels' road before these are on it.
+    Returns None for an unstable loop, for a nonlinear law, and for a preview controller if the vehicle has rear wheels.
 
     Args:
-        road: the spectrum of the road; its roughness has no effect.
+        vehicle: the vehicle.
+        controller: the controller.
+        road: spectrum of the road; its roughness has no effect.
         timestep: timestep of the sampled loop [s].
-        start: time at which measurement begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
+        start: time at which the measurement begins [s]. This time and the delays of rear wheels are rounded to whole samples of
+            the controller.
     """
     shares = settled_shares(vehicle, controller, road, timestep, start)
     if not shares:
@@ -102,7 +105,10 @@ def remaining_transient(
 def settled_shares(
     vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
 ) -> dict[str, float]:
-    """Returns every measured, moving signal's share of its final variance, by name; empty where `remaining_transient` is None."""
+    """Returns the variance of all measured signals that move, relative to their final values, by name.
+
+    Arguments are those of `remaining_transient`. The result is empty if that function returns None.
+    """
     if not is_linear(controller, vehicle) or radius(whole := loop_of(vehicle, controller, timestep)) >= 1:
         return {}
     model = vehicle.linear_model
@@ -110,7 +116,7 @@ def settled_shares(
     loop, C, period = system.A, system.C, whole.period
     now, midway = (system.columns(with_ending(model.disturbances, ending)) for ending in (HEIGHT, MIDWAY))
     Cr = system.D[:, now]
-    raised = np.linalg.solve(np.eye(len(loop)) - loop, system.B[:, now] + system.B[:, midway])  # by a road one metre higher
+    raised = np.linalg.solve(np.eye(len(loop)) - loop, system.B[:, now] + system.B[:, midway])  # equilibrium 1 m higher
     sample = round(start / period)
     late = np.array([round(wheel.behind(vehicle.parameters) / road.speed / period) for wheel in vehicle.kind.wheels])
     if controller.preview is not None and late.any():
@@ -119,12 +125,12 @@ def settled_shares(
     left_behind = {k: C @ np.linalg.matrix_power(loop, sample - k) for k in set(late[here].tolist())}
 
     def states(omega: Array) -> tuple[Array, Array]:
-        """Returns the response from each wheel's road velocity to the states at the samples, and to the outputs."""
+        """Returns the responses from the road velocity at each wheel to the states at the samples and to the outputs."""
         X = harmonic_states(*driven_loop(vehicle, controller, omega, timestep), omega)
         return X, C @ X + Cr / (1j * omega[:, None, None])
 
     def amplitudes(omega: Array) -> Array:
-        """Returns A and B by source, shape (F, 2 p, 2)."""
+        """Returns A and B of the module docstring for both sources, shape (F, 2 p, 2)."""
         X, steady = states(omega)
         s, left = 1j * omega[:, None, None], np.zeros((len(omega), len(C), len(late)), dtype=complex)
         for j in np.flatnonzero(here):
@@ -133,7 +139,7 @@ def settled_shares(
         return np.concatenate([steady[..., here] @ (inputs * shares)[:, here], left @ shares], axis=1)
 
     def final(omega: Array) -> Array:
-        """Returns the final variance per Hz, shape (F, p), with all wheels on the road."""
+        """Returns the final variance per Hz with all wheels on the road, shape (F, p)."""
         wheel_roads = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
         return power_of(states(omega)[1] @ wheel_roads)
 
@@ -142,7 +148,7 @@ def settled_shares(
     longest = longest_panel(vehicle, road.speed, controller.ahead)
     band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest)
     A, B = np.split(band.values, 2, axis=1)
-    # A has the phase of time 0 and B that of the start, so the product is turned by the time between.
+    # A has the phase at time 0 and B the phase at the start, so the product is rotated by the time between them.
     cross = np.real(band.turning(sample * period) @ np.sum(A * np.conj(B), axis=-1))
     now = band.share @ (power_of(A) + power_of(B)) - 2 * cross
     comes_to = band.share @ (power_of(A) if here.all() else final(band.omega))
@@ -156,21 +162,21 @@ def settled_shares(
     }
 
 
-FORGOTTEN = 0.01  # share of the variance that the slowest mode may still lack when measuring begins
-EXACT = 1e-4  # relative error of an integral that is not reported
+FORGOTTEN = 0.01  # share of the variance that the slowest mode may lack when the measurement begins
+EXACT = 1e-4  # relative error of an integral above which an error is reported
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMetrics:
-    """Expected metrics of one run over roads of a kind.
+    """Expected metrics of a run over random roads with the same spectrum.
 
     Attributes:
-        mean: expected value by metric; for an rms the root of the expected mean square, for the VDV the fourth root of the
-            expected integral. The mean of an rms over roads is lower by half its relative variance, that of a VDV by 1.5 times
-            its.
+        mean: expected value by metric: for an rms, the root of the expected mean square; for the VDV, the fourth root of the
+            expected integral. The mean of an rms over roads is lower than this value by half the relative variance of the rms.
+            The mean of a VDV is lower by 1.5 times its relative variance.
         spread: standard deviation of each rms metric from road to road, by metric.
-        error: upper estimate of the relative error of the integrals; report it if above `EXACT`.
-        line: the linear vehicle, with equivalent lines instead of curves (`statistical_linearisation.py`).
+        error: upper estimate of the relative error of the integrals; it is reported if it exceeds `EXACT`.
+        line: linear equivalent of the vehicle (`statistical_linearisation.py`).
     """
 
     mean: dict[str, float]
@@ -180,9 +186,9 @@ class ExpectedMetrics:
 
 
 def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
-    """Returns the time [s] at which the slowest mode has all but `FORGOTTEN` of its variance.
+    """Returns the time [s] after which the slowest mode lacks only the share `FORGOTTEN` of its final variance.
 
-    Infinite for an unstable loop, and for a law that is not linear.
+    The time is infinite for an unstable loop and for a nonlinear law.
     """
     if not is_linear(controller, vehicle):
         return math.inf
@@ -191,16 +197,19 @@ def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
 
 
 def passive_settling_time(vehicle: Vehicle) -> float:
-    """Returns the settling time of the vehicle without control [s]; infinite if it is not stable. See `settling_time`."""
+    """Returns the settling time of the vehicle without control [s], see `settling_time`; infinite if it is unstable."""
     own = stability(vehicle.linear_model.A)
     return math.log(FORGOTTEN) / (2 * own.worst.real) if own.stable else math.inf
 
 
 @one_thread()
 def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> ExpectedMetrics | None:
-    """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
+    """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no equivalent line exists.
 
     Args:
+        vehicle: the vehicle.
+        controller: the controller.
+        road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
         window: duration of the measurement [s].
     """
@@ -226,10 +235,10 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     lags = vehicle.limits.actuator_bandwidth is not None
 
     def spectra(omega: Array) -> Array:
-        """Returns, for every step of a period, spectra of all signals, weighted accelerations and the actuators' work."""
+        """Returns the spectra of all signals, of weighted accelerations and of actuator work, for each step of a period."""
         pulls = () if rest is None else rest.pulls
         at_steps, jumps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
-        for name, tyre in damped.items():  # the deflection with the same force
+        for name, tyre in damped.items():  # deflection of an undamped tyre with the same force
             at_steps[:, :, index[name]] += tyre.time * at_steps[:, :, index[tyre.hub]]
             turns = np.exp(1j * omega * timestep * np.arange(len(at_steps))[:, None])
             at_steps[:, :, index[name], loads[name]] -= tyre.time * turns
@@ -239,21 +248,21 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         if rest is not None and rest.sharp:
             of_road = outside * (np.arange(outside.shape[1]) < len(vehicle.kind.wheels))[:, None]
             at_steps[:, :, ride], jumps[:, :, ride] = (one[:, :, ride] @ of_road for one in responses)
-        at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2  # midway, see `metrics.py`
+        at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2  # mean of the values before and after a jump, see `metrics.py`
         weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
         works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]
         powers = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)
         return road.density * np.moveaxis(powers, 0, 1)
 
     def checked(_: Array, spectra_by_step: Array) -> Array:
-        """Returns the means over a period of the spectra that cannot be negative."""
+        """Returns the means over a period of those spectra that cannot be negative."""
         return spectra_by_step[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))
     if rest is not None:
         below = sample_band(spectra, checked, LOWEST * low, low, poles, longest_panel(vehicle, road.speed, controller.ahead))
         band = below.before(band)
-    # The integral is the sum over the lines if every resonance is wider than their spacing.
+    # The integral equals the sum over the lines only if each resonance is wider than the spacing of the lines.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))
     narrowest = float(damping[(rate > low) & (rate < high)].min(initial=math.inf))
     grain = 2 * math.exp(-narrowest * road.length / road.speed)
@@ -275,7 +284,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         window,
         timestep,
         road.speed,
-        # The lines of a road have fixed amplitudes, so metrics over its whole length have no spread.
+        # The lines of a road have fixed amplitudes, so a metric over the whole length of the road has no spread.
         max(1 - window * road.speed / road.length, 0.0),
         line.mean,
         static,
@@ -291,12 +300,13 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
 
 
 def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:
-    """Returns the amplitudes of weighted signals, every image weighted at its own frequency, shaped like `at_steps`.
+    """Returns the amplitudes of weighted signals, with the shape of `at_steps`. Each image is weighted at its own frequency.
 
     Args:
-        at_steps: amplitudes by source at every step of a period, shape (steps, F, a, 2).
+        at_steps: amplitudes of a signals for both sources at each step of a period, shape (steps, F, a, 2).
         omega: frequencies of the road [rad/s], shape (F,).
         timestep: length of a step [s].
+        weigh: frequency weighting.
     """
     steps = np.arange(len(at_steps))[:, None]
     turn = np.exp(1j * omega * timestep * steps)[..., None, None]
@@ -306,15 +316,16 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
 
 
 def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
-    """Returns, for every step of a period, the cospectrum of the force and the change of travel, and both spectra.
+    """Returns the spectra that determine the work of an actuator in each step of a period.
 
     Args:
-        force: amplitudes by source at every step and at the next period's first, shape (steps + 1, F, 2) [N].
-        travel: travel of its suspension, same shape [m].
+        force: force amplitudes for both sources at each step and at the first step of the next period [N], shape
+            (steps + 1, F, 2).
+        travel: amplitudes of the travel of its suspension [m], same shape.
         lags: True if the force changes within a step, False if it is held.
 
     Returns:
-        Shape (steps, F, 3).
+        Cospectrum of force and change of travel, spectrum of the force, and spectrum of the change, shape (steps, F, 3).
     """
     acting, change = (force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(travel, axis=0)
     cospectrum = np.sum(np.real(acting * np.conj(change)), axis=-1)
@@ -322,12 +333,12 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
 
 
 def work_rate(covariance: Array, force: Array, change: Array, *, mean: float) -> tuple[float, float]:
-    """Returns the expected work of a step and its positive part [J], see `metrics.py`, averaged over the steps of a period.
+    """Returns the expected work of an actuator per step and its positive part [J], averaged over the steps of a period.
 
     Args:
-        covariance: covariance of the force and the change of travel in each step [J], shape (steps,).
-        force, change: variances of both [N^2, m^2], shape (steps,).
-        mean: mean of the force [N].
+        covariance: covariance of force and change of travel in each step [J], shape (steps,).
+        force, change: variances of force [N^2] and change of travel [m^2], shape (steps,).
+        mean: mean force [N].
     """
     steps = zip(covariance.tolist(), np.sqrt(force).tolist(), np.sqrt(change).tolist(), strict=True)
     return float(covariance.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))

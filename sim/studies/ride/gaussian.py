@@ -1,19 +1,21 @@
-"""Statistics of a zero-mean Gaussian signal over a window of time T, from its spectrum. It is stationary or cyclostationary.
+"""Statistics of a Gaussian signal with zero mean over a window of time T, from its spectrum.
 
-Exact: mean squares, also of min(x, s), fourth powers, shares of time beyond a threshold, mean positive parts of products. With
-a = s / sigma, phi and Q the normal density and tail,
+The signal is stationary or cyclostationary. Some statistics are exact: mean squares (also of the clipped signal min(x, s)),
+fourth powers, shares of time beyond a threshold, and mean positive parts of products. With a = s / sigma, the normal density
+phi and its tail probability Q,
 
     E min(x, s)^2 = sigma^2 (1 - Q(a) - a phi(a) + a^2 Q(a)).
 
-For a cyclostationary signal they are means over the steps of a period. The other statistics use the mean spectrum.
+For a cyclostationary signal, these are means over the steps of a period. The other statistics use the mean spectrum.
 
-Asymptotic, for windows much longer than the signal's memory: the variance of a mean square. min(x, s)^2 is a sum of Hermite
-polynomials of x / sigma. The term of degree k, with coefficient c_k, contributes (2 / T) c_k^2 times the integral of rho^k from 0
-on, rho the autocorrelation. Without the clip only c_2 is nonzero, and the variance is the integral of S^2 df / T.
+The variance of a mean square is asymptotic: it assumes a window much longer than the correlation time. min(x, s)^2 is a sum of
+Hermite polynomials of x / sigma. The term of degree k with coefficient c_k contributes (2 / T) c_k^2 times the integral of
+rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, only c_2 is nonzero, and the variance is the
+integral of S^2 df / T.
 
-Approximate: the largest magnitude has Vanmarcke's distribution for both barriers; E. H. Vanmarcke (1975), J. Appl. Mech. 42,
-215-220. The running mean square, whose variance is exact, is assumed to have a gamma distribution, and to fluctuate like a
-Gaussian signal of its spectrum.
+The other statistics are approximate. The largest magnitude has Vanmarcke's distribution for both barriers (E. H. Vanmarcke
+(1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. Its distribution is assumed to be a gamma
+distribution, and its fluctuations to be those of a Gaussian signal with the same spectrum.
 """
 
 import math
@@ -27,17 +29,17 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 
 from models.common.arrays import Array
 
-LEVELS = np.linspace(0.0, 12.0, 1201)  # over sigma; no run is long enough to exceed them
-BIN = 1 / 64  # width of a bin of a coarse spectrum [Hz]; a running mean over 1 s forgets within 64 s
-DEGREES = (2, 3, 4, 5, 6)  # of the Hermite polynomials included for a clipped square
+LEVELS = np.linspace(0.0, 12.0, 1201)  # levels relative to sigma; no run is long enough to exceed the largest
+BIN = 1 / 64  # width of a bin of a coarse spectrum [Hz], sufficient for a running mean over 1 s
+DEGREES = (2, 3, 4, 5, 6)  # degrees of the Hermite polynomials that are included for a clipped square
 
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A Gaussian signal, by its one-sided spectrum S at frequencies with quadrature weights.
+    """A Gaussian signal, defined by its one-sided spectrum S at frequencies with quadrature weights.
 
     Attributes:
-        by_step: S [unit^2/Hz] at every step of its period, shape (steps, F).
+        by_step: spectrum S [unit^2/Hz] at each step of its period, shape (steps, F).
         omega: ascending frequencies [rad/s], shape (F,).
         share: quadrature weights of the frequencies [Hz], shape (F,).
     """
@@ -48,22 +50,22 @@ class Gaussian:
 
     @cached_property
     def spectrum(self) -> Array:
-        """Mean of S over the steps, shape (F,)."""
+        """Mean of the spectrum over the steps [unit^2/Hz], shape (F,)."""
         return self.by_step.mean(axis=0)
 
     @cached_property
     def sigma(self) -> float:
-        """Standard deviation, over all steps."""
+        """Standard deviation over all steps."""
         return float(self.share @ self.spectrum) ** 0.5
 
     @cached_property
     def sigmas(self) -> list[float]:
-        """Standard deviation at every step."""
+        """Standard deviation at each step."""
         return [float(self.share @ spectrum) ** 0.5 for spectrum in self.by_step]
 
     @property
     def mean_fourth_power(self) -> float:
-        """E x^4."""
+        """Mean of the fourth power, E x^4."""
         return 3 * statistics.fmean(sigma**4 for sigma in self.sigmas)
 
     def beyond(self, threshold: float) -> float:
@@ -77,48 +79,54 @@ class Gaussian:
         return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
     def mean_square_variance(self, window: float, clip: float) -> float:
-        """Returns the variance of the mean of min(x, clip)^2 over a window [s]: at most the variance at one instant."""
+        """Returns the variance of the mean of min(x, clip)^2 over a window [s]. It is at most the variance at one instant."""
         if not self.sigma:
             return 0.0
-        square = float(self.share @ self.spectrum**2) / (4 * self.sigma**4)  # integral of rho^2 from 0 on
+        square = float(self.share @ self.spectrum**2) / (4 * self.sigma**4)  # integral of rho^2 from 0 to infinity
         if math.isinf(clip):
             return self.sigma**4 * min(4 * square / window, 2.0)
         correlation, step = self._correlation
         a = clip / self.sigma
         total, power = 0.0, correlation.copy()
         for k in DEGREES:
-            power *= correlation  # correlation^k, at a hundredth of the cost of a power
+            power *= correlation  # correlation^k; a product is a hundred times faster than a power
             memory = square if k == 2 else float(np.sum(power)) * step - step / 2
             total += _hermite_of_clipped_square(k, a) ** 2 / math.factorial(k) * min(2 * max(memory, 0.0) / window, 1.0)
         return self.sigma**4 * total
 
     def largest(self, window: float) -> float:
-        """Returns the expected largest magnitude within a window [s], over sigma."""
+        """Returns the expected largest magnitude within a window [s], relative to the standard deviation."""
         if not self.sigma:
             return 0.0
         m0, m1, m2 = (float(self.share @ (self.omega**k * self.spectrum)) for k in range(3))
         width = math.sqrt(max(1 - m1**2 / (m0 * m2), 0.0))
-        crossings = math.sqrt(m2 / m0) / math.pi * window  # of zero, up and down
+        crossings = math.sqrt(m2 / m0) / math.pi * window  # number of zero crossings in both directions
         eta = LEVELS[1:]
         clump = -np.expm1(-math.sqrt(math.pi / 2) * width**1.2 * eta)
         below = -np.expm1(-(eta**2) / 2) * np.exp(-crossings * clump / np.expm1(eta**2 / 2))
         return float(np.trapezoid(1 - np.concatenate([[0.0], below]), LEVELS))
 
     def largest_running(self, window: float, memory: float) -> float:
-        """Returns the expected root of the largest running mean square in a window [s], with an exponential memory [s]."""
+        """Returns the expected root of the largest running mean square in a window.
+
+        Args:
+            window: duration of the window [s].
+            memory: time constant of the exponential running mean [s].
+        """
         if not self.sigma:
             return 0.0
         mass, apart = self._mass, np.arange(len(self._mass)) * BIN
-        pairs = 2 * np.fft.irfft(np.abs(np.fft.rfft(mass, _power_of_two(2 * len(mass)))) ** 2)[: len(mass)]  # by difference
+        # Products of the variance at pairs of frequencies: by their difference in `pairs`, by their sum in `sums`.
+        pairs = 2 * np.fft.irfft(np.abs(np.fft.rfft(mass, _power_of_two(2 * len(mass)))) ** 2)[: len(mass)]
         pairs[0] /= 2
         low = 1 / (1 + (2 * np.pi * apart * memory) ** 2)
         slow = float(pairs @ low)
-        sums = np.convolve(mass[: 8 * 64], mass[: 8 * 64])  # by sum of frequencies; the mean suppresses those above 8 Hz
+        sums = np.convolve(mass[: 8 * 64], mass[: 8 * 64])  # up to 8 Hz, because the running mean suppresses higher frequencies
         quick = float(sums @ (1 / (1 + (2 * np.pi * (np.arange(len(sums)) + 1) * BIN * memory) ** 2)))
         variance = slow + quick
-        rate = math.sqrt(float(pairs @ (1 - low)) / slow) / memory  # rms of the slow part's derivative over its rms
+        rate = math.sqrt(float(pairs @ (1 - low)) / slow) / memory  # rms of the derivative of the slow part, relative to its rms
         shape = self.sigma**4 / variance
-        # Each level of the mean square is exceeded as rarely as the level u of a Gaussian signal of that rate.
+        # Each level of the mean square is exceeded as often as the level u of a Gaussian signal with this rate.
         u = np.linspace(-5, 8, 1301)
         below = scipy.special.ndtr(u) * np.exp(-rate / (2 * np.pi) * window * np.exp(-(u**2) / 2))
         levels = scipy.special.gammainccinv(shape, scipy.special.ndtr(-u)) / shape
@@ -127,7 +135,7 @@ class Gaussian:
 
     @cached_property
     def _mass(self) -> Array:
-        """Variance in bins of `BIN` [Hz] from 0 on."""
+        """Variance in frequency bins of width `BIN`, starting at 0 Hz."""
         edges = (self.omega / (2 * np.pi))[:, None] + np.stack([-self.share / 2, self.share / 2], axis=-1)
         total = np.concatenate([[0.0], np.cumsum(self.share * self.spectrum)])
         at = np.concatenate([edges[:1, 0], (edges[1:, 0] + edges[:-1, 1]) / 2, edges[-1:, 1]])
@@ -136,7 +144,7 @@ class Gaussian:
 
     @cached_property
     def _correlation(self) -> tuple[Array, float]:
-        """Autocorrelation rho from 0 on, and its step [s]."""
+        """Autocorrelation rho from time 0, and its timestep [s]."""
         rho = np.fft.hfft(self._mass, _power_of_two(4 * len(self._mass)))
         half = len(rho) // 2
         return rho[:half] / rho[0], 1 / (BIN * len(rho))
@@ -144,19 +152,19 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class RandomSignals:
-    """The signals of a vehicle over all random roads of a kind.
+    """The signals of a vehicle over all random roads with the same spectrum.
 
     Attributes:
-        signal: function of a signal's name; returns it.
-        weighted_signal: function of an acceleration's name; returns the weighted acceleration.
+        signal: function that returns a signal by name.
+        weighted_signal: function that returns the weighted acceleration for the name of an acceleration.
         window: duration of the measurement [s].
-        timestep: timestep [s].
+        timestep: timestep of the signals [s].
         speed: speed of the vehicle [m/s].
-        variance_share: share of the variance from road to road that the finite length of a road leaves.
-        mean: mean of signals whose mean is not zero, by name.
-        static: static deflection of every tyre [m].
-        strokes: strokes of every suspension with stops in bump and in rebound [m], infinite without a stop.
-        works: expected work of a step of every actuator in a suspension, and its positive part [J].
+        variance_share: share of the variance from road to road that remains because a road has a finite length.
+        mean: means of the signals whose mean is not zero, by name.
+        static: static deflection of each tyre [m].
+        strokes: strokes in bump and in rebound [m] of each suspension with stops; infinite without a stop.
+        works: expected work per step and its positive part [J] of each actuator in a suspension.
     """
 
     signal: Callable[[str], Gaussian]
@@ -175,26 +183,39 @@ class RandomSignals:
         return self.mean.get(name, 0.0)
 
     def rms(self, signal: Gaussian, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> tuple[float, float]:
-        """Returns the root of the expected mean square of scale times min(x, clip), and its standard deviation between roads."""
+        """Returns the root of the expected mean square, and its standard deviation from road to road.
+
+        Args:
+            signal: signal x with zero mean.
+            clip: upper limit of the signal.
+            scale: factor on the result.
+            offset: mean of the signal, which is added to x.
+        """
         square = signal.clipped_mean_square(clip)
         whole = square + offset**2
         value = math.sqrt(whole) * scale
-        # The relative spread of an rms is half that of the mean square.
+        # The relative spread of an rms is half the relative spread of the mean square.
         variance = signal.mean_square_variance(self.window, clip)
         return value, value * math.sqrt(self.variance_share * variance) / (2 * whole) if square else 0.0
 
 
 def _power_of_two(count: int) -> int:
-    """Returns the lowest power of two from a count on: Fourier transforms of a length with large factors are slow."""
+    """Returns the smallest power of two that is at least `count`, because other lengths of Fourier transforms are slower."""
     return 1 << (count - 1).bit_length()
 
 
 def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> float:
-    """Returns E max(x y, 0) of Gaussians with a covariance and standard deviations x and y; only the first has a mean."""
+    """Returns the mean positive part E max(X Y, 0) of the product of two Gaussian variables.
+
+    Args:
+        covariance: covariance of X and Y.
+        x, y: standard deviations of X and Y.
+        mean: mean of X; the mean of Y is zero.
+    """
     r = min(max(covariance / (x * y), -1.0), 1.0) if x * y else 0.0
     if not mean:
         return x * y * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
-    # Given y = z standard deviations, x is a Gaussian with the conditional mean and deviation, whose positive part is known.
+    # For a given Y of z standard deviations, X is Gaussian with a conditional mean and deviation, so its positive part is known.
     z, left = LEVELS, max(x * math.sqrt(1 - r**2), 1e-9 * (x + abs(mean)))
     total = np.zeros_like(z)
     for side in (1.0, -1.0):
@@ -204,7 +225,7 @@ def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> f
 
 
 def _clipped_square(sigma: float, clip: float) -> float:
-    """Returns E min(x, clip)^2 of a Gaussian x."""
+    """Returns E min(x, clip)^2 of a Gaussian variable x with zero mean and standard deviation sigma."""
     if not sigma:
         return 0.0
     a = clip / sigma
@@ -213,11 +234,11 @@ def _clipped_square(sigma: float, clip: float) -> float:
 
 
 def _hermite_of_clipped_square(k: int, a: float) -> float:
-    """Returns E min(z, a)^2 He_k(z) of a standard normal z for k >= 2, integrated by parts."""
+    """Returns E min(z, a)^2 He_k(z) of a standard normal variable z for k >= 2, integrated by parts."""
     density = math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
 
     def below(m: int) -> float:
-        """Returns E He_m(z) over z < a."""
+        """Returns the integral of He_m(z) phi(z) over z < a."""
         return float(scipy.special.ndtr(a)) if m == 0 else -float(scipy.special.eval_hermitenorm(m - 1, a)) * density
 
     return 2 * (below(k) + (k - 1) * below(k - 2))

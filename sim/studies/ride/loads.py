@@ -1,4 +1,4 @@
-"""The study of loads on the body: angles and travel under loads on a flat road, and the dive under braking."""
+"""The study of loads on the body: angles and suspension travel under loads on a flat road, and dive under braking."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,16 +29,16 @@ from sim.studies.ride.run_metrics import METRIC, RunMetrics, measure_run
 from sim.studies.study import Progress, Study
 from sim.studies.subject import Subject
 
-DURATION = 5.0  # s; longer where the loads come later
-AFTER = 2.0  # s that are looked at after the last load has come
-LONGEST = 60.0  # s
-SPEED = 20.0  # m/s, which does not matter on a flat road
-BRAKE, BRAKED = "brake:g=0.5", 3.0  # s, in which a car has long begun to rest on its springs
+DURATION = 5.0  # s, shortest duration of a run under loads
+AFTER = 2.0  # s, duration of a run after the last change of a load
+LONGEST = 60.0  # s, longest duration of a run under loads
+SPEED = 20.0  # m/s; the speed has no effect on a flat road
+BRAKE, BRAKED = "brake:g=0.5", 3.0  # braking load, and duration of its run [s], long enough to settle
 LeaningRow = tuple[str, Metric, RunMetrics]
 
 
 def loaded_road(loads: Sequence[Load]) -> RoadWithLoads:
-    """A flat road with loads on the body of what drives there."""
+    """Returns a flat road with loads on the body of the vehicle."""
     return RoadWithLoads(Flat(SPEED), tuple(loads))
 
 
@@ -49,14 +49,14 @@ def duration_of(loads: Sequence[Load]) -> float:
 
 
 def _dive(vehicle: Vehicle) -> Metric | None:
-    """Returns the metric of dive, or None for a vehicle that cannot pitch."""
+    """Returns the metric of dive; None for a vehicle that cannot pitch."""
     return next(iter(compared_metrics(vehicle, loaded=True).get("dive", ())), None)
 
 
 def dives(scope: Subject) -> dict[str, float]:
-    """Returns the largest dive of every controller in MuJoCo under braking [deg]; empty for a vehicle that cannot pitch.
+    """Returns the largest dive under braking in MuJoCo [deg], by controller; empty for a vehicle that cannot pitch.
 
-    A run that breaks off has none.
+    Controllers whose run breaks off are omitted.
     """
     vehicle, controllers = scope.vehicle, [*scope.stable, *scope.laws]
     if (dive := _dive(vehicle)) is None:
@@ -71,7 +71,7 @@ def dives(scope: Subject) -> dict[str, float]:
 
 
 def loads_section(scope: Subject) -> Document:
-    """Returns the section on loads on a flat road: loads over time, and the angles of the body."""
+    """Returns the section about loads on a flat road: loads over time, angles of the body and suspension travel."""
     vehicle, road, names = scope.vehicle, loaded_road(scope.loads), PLUS.join(load.label for load in scope.loads)
     time, angles = sample_times(vehicle, duration_of(scope.loads), scope.timestep), angles_of(vehicle)
     runs = run_controllers(vehicle, [*scope.stable, *scope.laws], road, time)
@@ -87,14 +87,14 @@ def loads_section(scope: Subject) -> Document:
             "at rest, linear", lambda row: (row[2].static or {}).get(row[1].source if isinstance(row[1], at_end) else ""), ".4g"
         ),
     )
-    carried = "there is no anti-dive: springs, bars and tyres carry it all"
+    carried = "without anti-dive, springs, bars and tyres carry all of it"
     if vehicle.kind.wheel_loads(vehicle.parameters):
-        carried = "links carry the part of roll centres and anti-dive, and springs, bars and tyres carry the rest"
+        carried = "suspension links carry a part (roll centres, anti-dive), and springs, bars and tyres carry the rest"
     lacking = left_out(vehicle.parameters, angles)
     texts = [
-        f"The runs take {time[-1]:g} s on a flat road, at {1e3 * scope.timestep:g} ms. Controllers know only what they measure "
-        "of the loads. Dive is nose down, squat nose up.",
-        f"Braking and cornering turn the body by a moment of its weight at the height of its centre of mass; {carried}.",
+        f"The runs take {time[-1]:g} s on a flat road, at {1e3 * scope.timestep:g} ms. Controllers receive measurements, but "
+        "not the loads. Dive is nose down, squat nose up.",
+        f"Braking and cornering cause a moment on the body: inertial force times height of the centre of mass; {carried}.",
         *([f"{lacking[0].upper()}{lacking[1:]}."] if lacking else []),
     ]
     caption = "Angles of the body and travel of its suspensions under the loads, and the equilibrium of the linear loop."
@@ -111,7 +111,7 @@ def loads_section(scope: Subject) -> Document:
 
 
 def _panels(scope: Subject, road: RoadWithLoads, runs: Sequence[Run], travels: Sequence[str]) -> Iterator[Panel]:
-    """Yields panels of the loads over time, then of angles, then of suspensions."""
+    """Yields panels over time: loads, then angles of the body, then suspension deflections."""
     vehicle = scope.vehicle
     acting = load_histories(vehicle, road, runs[0].physics.time)
     assert acting is not None, "a road with loads"
@@ -146,11 +146,11 @@ def _panel(name: str, unit: str, curves: Sequence[Curve], symbol: str = "") -> P
     return Panel(f"{words}{symbol}", "time [s]", f"{words} [{unit}]", tuple(curves))
 
 
-BRAKING_SUBJECT = "braking"  # subject of the dives
+BRAKING_SUBJECT = "braking"  # subject of the request that computes the dive under braking
 
 
 class LoadsStudy(Study[Any]):
-    """Response to loads, and the dive of every controller under braking, on a page."""
+    """Study that adds the response to loads to a report, and computes the dive of each controller under braking."""
 
     seconds = 2.0
 
@@ -167,7 +167,7 @@ class LoadsStudy(Study[Any]):
         return {name: (name, scope) for name, one in wanted.items() if one and some}
 
     def run(self, request: tuple[str, Subject], progress: Progress) -> Document | dict[str, float]:
-        """Returns the section, or the dives."""
+        """Returns the section about loads, or the dive of each controller."""
         name, scope = request
         return dives(scope) if name == BRAKING_SUBJECT else loads_section(scope)
 

@@ -1,20 +1,21 @@
 """Metrics of a suspension: ride, travel, road holding, and actuator effort, computed block by block during a run.
 
-A metric is a class of the registry: its name, unit and signals, its rules over time and over runs, and its expectation.
+A metric is a class of the registry `METRICS`, with a name, a unit, signals, rules over time and over runs, and an expected
+value.
 
-A held force jumps at a sample, and so do the accelerations. A sample of an acceleration counts as the mean of its values just
-before and just after the jump. Taken after the jump, it would lack the mean delay of a held force, half a step. A loop whose
-forces cancel most of the spring's and the damper's would then look better by per cents.
+A held force jumps at a sample, and so do the accelerations. Each sample of an acceleration is the mean of the values just
+before and just after the jump. The value after the jump would not include the mean delay of a held force, which is half a step.
+A loop whose forces cancel most of the spring and damper forces would then seem better by several per cent.
 
-The window of all metrics leaves out the transient at the start of a run from rest. The filter of W_k of ISO 2631-1
-(`sim/studies/ride/weighting.py`) is three samples late. Its outputs of the window's last samples follow from a straight line
-through the last two.
+The time window of all metrics excludes the transient at the start of a run. The filter for the weighting W_k of ISO 2631-1
+(`sim/studies/ride/weighting.py`) has a delay of three samples. To get its output for the last three samples of the window, the
+acceleration is extrapolated by a straight line through its last two samples.
 
-The rms of an acceleration, and rms and peak of a damper's force, use the values on both sides of a jump if the vehicle has
-adjustable dampers.
+With semi-active dampers, the rms of an acceleration uses the values on both sides of each jump. So do the rms and the peak of a
+damper force.
 
-A body's angles are linear in its heights over the wheels, and so in deflections and road heights (`VehicleKind.angles`). From
-MuJoCo's readings they are right to the square of the angle.
+The angles of the body are linear functions of deflections and road heights (`VehicleKind.angles`). For MuJoCo, which has finite
+angles, the error is of second order in the angle.
 """
 
 import math
@@ -44,18 +45,20 @@ PITCH, ROLL = "pitch_angle", "roll_angle"
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
-    """Returns the angles of a vehicle's body [rad], each as coefficients of its signals."""
+    """Returns the angles of the body [rad] by name, each as coefficients of signals by name."""
     return vehicle.kind.angles(vehicle.parameters)
 
 
 def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles [deg] of the linear loop in equilibrium under the loads of a time [s].
+    """Returns the angles of the body [deg] by name, in equilibrium of the linear loop under constant loads.
 
-    Empty if the loop is unstable, or the law is not linear.
+    The result is empty if the loop is unstable or the law is nonlinear.
 
     Args:
+        vehicle: the vehicle.
+        controller: the controller.
         road: road with the loads.
-        time: time of the loads [s].
+        time: time whose loads act [s].
     """
     if controller.linear is False:
         return {}
@@ -69,18 +72,19 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
 
 
 RUNNING_TIME_CONSTANT = 1.0  # time constant of the running rms [s]
-DEFINITIONS = 7  # version of the metrics and their expectations; one more whenever a number changes
-LATE_WINDOW = 6  # the last version whose weighted metrics had a window that was three samples late
-ONE_SIDED = 5  # the version in which signals that adjustable dampers switch had one value at a jump; else the same numbers
+DEFINITIONS = 7  # version of the metrics and their expectations; incremented whenever a number changes
+LATE_WINDOW = 6  # last version in which the window of weighted metrics was three samples late
+ONE_SIDED = 5  # version with one value at jumps of signals that semi-active dampers switch; other numbers are those of version 6
 
 
 @dataclass(frozen=True)
 class OverRuns:
-    """Rule that combines a metric of several runs.
+    """Rule that combines the values of a metric over several runs.
 
     Attributes:
-        words: the rule in words.
-        of: function of the values of the runs and of their measured distances [m], shape (R,) each.
+        words: name of the rule.
+        of: function that returns the combined value from the values of R runs and their measured distances [m], shape (R,)
+            each.
     """
 
     words: str
@@ -96,16 +100,16 @@ PER_DISTANCE = OverRuns("mean by distance", lambda values, distances: values @ d
 
 @dataclass(frozen=True)
 class Column:
-    """Column of the table of controllers: the largest value of a metric over the vehicle's points, smaller is better.
+    """Column in the table of controllers. It shows the largest value of a metric over the points of the vehicle.
 
     Attributes:
         label: heading.
-        unit: printed unit; empty for none.
-        scale: printed number of an SI unit.
-        change: name of the change from passive; empty for a column without changes.
-        praise: verb and object of a controller that is the best, for a sentence; empty for a column that no sentence names.
-        bars: title of the bars of a report; empty for none.
-        by_side: True for a travel, which is shown in bump and in rebound if the vehicle has strokes.
+        unit: printed unit; empty for a number without a unit.
+        scale: factor from the SI unit to the printed unit.
+        change: name of the change relative to the passive vehicle; empty for a column without changes.
+        praise: verb and object for a sentence about the best controller; empty if no sentence mentions this column.
+        bars: title of the bar chart in a report; empty without a bar chart.
+        by_side: True for travel, which is shown separately in bump and in rebound if the vehicle has stops.
     """
 
     label: str
@@ -117,11 +121,11 @@ class Column:
     by_side: bool = False
 
 
-Expectation = tuple[float, float | None] | None  # and the standard deviation from road to road
+Expectation = tuple[float, float | None] | None  # expected value, and its standard deviation from road to road (None if unknown)
 
 
 class Totals:
-    """Sums and largest values of a metric over the blocks so far, each of shape (N,) after the first."""
+    """Sums and largest values of a metric over the blocks so far, shape (N,) each after the first block."""
 
     sum: Any = 0
     shift: Any = 0
@@ -132,30 +136,30 @@ class Totals:
         self.sum = self.sum + amount
 
     def keep(self, values: Array) -> None:
-        """Keeps the largest magnitude of values, shape (N, B)."""
-        self.keep_largest(np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0)  # no -0
+        """Updates the largest values with the magnitudes of `values`, shape (N, B)."""
+        self.keep_largest(np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0)  # + 0.0 changes -0.0 to 0.0
 
     def keep_largest(self, largest: Array) -> None:
-        """Keeps the larger of values, shape (N,)."""
+        """Updates the largest values, shape (N,)."""
         self.largest = np.maximum(self.largest, largest)
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of one signal of a run. Its class is registered in `EXTENSIONS`.
+    """A metric of one signal of a run. The class of the metric is registered in `METRICS`.
 
     Attributes:
-        source: signal that is evaluated.
-        what: statistic of that signal.
-        unit: SI.
-        of: group of signals in whose rows a table shows the metric.
-        over_runs: rule over several runs.
-        approximate: False if the expectation is exact for a stationary linear run.
+        source: name of the evaluated signal.
+        what: name of the statistic, which is part of the name of the metric.
+        unit: SI unit of the metric.
+        of: group of signals. Tables list metrics of one group together.
+        over_runs: rule that combines the values of several runs.
+        approximate: False if the expected value is exact for a stationary linear run.
         expectation: definition of the expected value, if it is not the mean.
-        accuracy: clause on the error of an approximate expectation; empty for none.
-        column: column of the table of controllers; None without one.
-        headline: name in the short tables of campaigns and reports; empty if it is not in them.
-        effort: True for a metric of actuators, which passive has not.
+        accuracy: text about the error of an approximate expected value; empty if it is not stated.
+        column: column in the table of controllers; None if the table does not contain this metric.
+        headline: name in the short tables of campaigns and reports; empty if they do not contain this metric.
+        effort: True for a metric of actuators, which the passive vehicle does not have.
         loaded: True for a metric that is measured only if loads act on the body.
     """
 
@@ -174,12 +178,12 @@ class Metric:
 
     @property
     def name(self) -> str:
-        """Column name in files."""
+        """Name of the metric, as in files and in JSON."""
         return f"{self.source}_{self.what}"
 
     @property
     def words(self) -> str:
-        """The name in words."""
+        """Name with spaces instead of underscores."""
         return self.name.replace("_", " ")
 
     @classmethod
@@ -189,36 +193,43 @@ class Metric:
 
     @classmethod
     def compared(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals whose largest value counts for the vehicle: all of them, unless a metric knows better."""
+        """Returns the signals that are compared; the worst of them represents the vehicle. By default, all signals."""
         return cls.sources(vehicle)
 
     @classmethod
     def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that have a column of their own, too."""
+        """Returns the signals that have an additional column of their own in the table of controllers."""
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
-        """Adds the meter's block."""
+        """Adds the current block of a meter to the totals."""
 
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
-        """Adds a block of the weighted acceleration, and its mean square over `RUNNING_TIME_CONSTANT`, shape (N, B) each."""
+        """Adds a block of the weighted acceleration of this metric.
+
+        Args:
+            weighted: weighted acceleration [m/s2], shape (N, B).
+            running: running mean square of `weighted` with the time constant `RUNNING_TIME_CONSTANT`, shape (N, B).
+            totals: totals of this metric.
+        """
 
     def result(self, totals: Totals, meter: "Meter") -> Array:
         """Returns the metric after the last block, shape (N,)."""
         raise NotImplementedError
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        """Returns the expectation over random roads, and its standard deviation from road to road or None if that is unknown.
+        """Returns the expected value over random roads, and its standard deviation from road to road (None if unknown).
 
-        None if the metric has no known expectation.
+        Returns None if the metric has no known expected value.
         """
         return None
 
 
 def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> float:
-    """Returns a metric over several runs by its own rule.
+    """Returns the combined value of a metric over R runs, by the rule of this metric.
 
     Args:
+        metric: the metric.
         values: value of each run, shape (R,).
         distances: measured distance of each run [m], shape (R,); None if all are equal.
     """
@@ -226,12 +237,12 @@ def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> 
 
 
 def squares(values: Array) -> Array:
-    """Returns the sum of squares of each row."""
+    """Returns the sum of squares of each row, shape (N,)."""
     return (values * values).sum(axis=1)
 
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
-    """Returns the metrics of a vehicle, signal by signal; if loads act on its body, its angles come first."""
+    """Returns all metrics of a vehicle, ordered by signal. `loaded` adds the angles of the body, which come first."""
     groups: dict[str, list[tuple[type[Metric], Sequence[str]]]] = {}
     for kind in METRICS.load_all().values():
         if loaded or not kind.loaded:
@@ -246,16 +257,16 @@ def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
 
 
 def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
-    """Returns, by name of the registry, the metrics of which the largest counts for the vehicle; empty if it has none."""
+    """Returns the metrics that are compared, by name in `METRICS`. The worst of a name represents the vehicle."""
     return {
         name: tuple(map(kind, kind.compared(vehicle))) for name, kind in METRICS.load_all().items() if loaded or not kind.loaded
     }
 
 
 class Meter:
-    """Metrics of N runs of one kind of vehicle, computed block by block in constant memory.
+    """Computation of the metrics of N runs of one vehicle type, block by block in constant memory.
 
-    The numbers of a run are bit for bit independent of the other runs: each is summed along its own time.
+    The results of a run do not depend on the other runs, bit for bit, because each sum is over the time of a single run.
     """
 
     def __init__(
@@ -273,11 +284,12 @@ class Meter:
         Args:
             vehicles: N vehicles of one type.
             timestep: timestep of the signals [s].
-            first: index of the first sample measured.
-            loaded: True if loads act on any body, so that angles are measured.
-            pushed: mask of the runs with loads, N entries. Default: all or none, as `loaded`.
-            earlier: True for the weighted metrics of earlier versions, whose window was as late as the filter.
-            speeds: speed of each run [m/s], N entries; None if it is unknown, so that no metric refers to the distance.
+            first: index of the first measured sample.
+            loaded: True if loads act in any run; angles are then measured.
+            pushed: True for each run in which loads act, N entries; None if this is the same for all runs, as given by
+                `loaded`.
+            earlier: True for the weighted metrics of earlier versions, whose window was delayed by three samples.
+            speeds: speed of each run [m/s], N entries; None if it is unknown. Metrics per distance are then NaN.
         """
         self.late = 0 if earlier else LATE
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
@@ -298,7 +310,7 @@ class Meter:
         dampers = {name: tyre for one in damped for name, tyre in one.items()}
         times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in dampers}
         self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in dampers.items()}
-        # Coefficients of every angle, by index of the signal, shape (N,).
+        # Coefficients of each angle by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
             angle: {names.index(name): np.array([one[angle][name] for one in angles]) for name in parts}
@@ -313,11 +325,11 @@ class Meter:
         self.last: dict[str, Array] = {}  # last two samples of accelerations, shape (N, 2)
         self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.vehicle.dampers else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
-        self.before: dict[str, Array] = {}  # last sample of forces and deflections, for the work, shape (N, 1)
+        self.before: dict[str, Array] = {}  # last samples of forces and deflections, from which the work follows, shape (N, 1)
         self.seen = self.samples = 0
 
     def update(self, values: Array) -> None:
-        """Adds the next block of signals, shape (B, S, N): B samples of the S signals of the vehicle's kind."""
+        """Adds the next block of signals, shape (B, S, N): B samples of the S signals in N runs."""
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
@@ -335,35 +347,38 @@ class Meter:
             metric.update(self, totals)
 
     def result(self) -> dict[str, Array]:
-        """Returns every metric, shape (N,), after the last block."""
-        for name, last in self.last.items():  # the filter is late: straight lines go on behind the last samples
+        """Returns all metrics by name after the last block, shape (N,) each."""
+        for name, last in self.last.items():  # the filter has a delay, so accelerations are extrapolated by straight lines
             self._weigh(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
         self.last = {}
         return {metric.name: metric.result(totals, self) for metric, totals in self.totals.items()}
 
     @property
     def duration(self) -> float:
-        """Duration of the window, a timestep for every sample [s]."""
+        """Duration of the measurement [s]: the number of measured samples times the timestep."""
         return self.samples * self.timestep
 
     @property
     def distances(self) -> Array:
-        """Distance of each run in the window [m], shape (N,); NaN on a rig, or without a speed."""
+        """Measured distance of each run [m], shape (N,); NaN on a test rig or if the speed is unknown."""
         return np.where(self.speeds > 0, self.speeds * self.duration, np.nan)
 
     def __getitem__(self, name: str) -> Array:
-        """Returns an output signal of the block, with each run's samples contiguous, shape (N, B)."""
+        """Returns an output signal of the current block, shape (N, B). The samples of a run are contiguous in memory."""
         return np.ascontiguousarray(self.block[:, self.index[name]].T)
 
     def angle(self, name: str) -> Array:
-        """Returns an angle of the body in the block [rad], shape (N, B)."""
+        """Returns an angle of the body in the current block [rad], shape (N, B)."""
         angle = np.zeros(self.block.shape[:1:-1] + self.block.shape[:1])
         for i, share in self.angles[name].items():
             angle += share[:, None] * self.block[:, i].T
         return angle
 
     def tyre(self, name: str) -> tuple[Array, Array]:
-        """Returns the deflection of a tyre with the same force but no damping, shape (N, B), and the static one, (N, 1) [m]."""
+        """Returns the deflection of a tyre in the current block and its static deflection [m], shapes (N, B) and (N, 1).
+
+        For a tyre with damping, this is the deflection of an undamped tyre with the same force.
+        """
         deflection = self[name]
         if name in self.damped:
             hub, road, time = self.damped[name]
@@ -371,7 +386,10 @@ class Meter:
         return deflection, self.static[name][:, None]
 
     def work(self, force: str) -> Array:
-        """Returns the work of an actuator [J] in each step that ends in the block, shape (N, B), or (N, B - 1) at first."""
+        """Returns the work of an actuator [J] in each step that ends in the current block, shape (N, B).
+
+        The first block has one step less than samples, so the shape is (N, B - 1).
+        """
         if force not in self.works:
             acting, along = self._joined(force), self._joined(self.vehicle.kind.deflection_of(force))
             work = (acting[:, :-1] + acting[:, 1:]) / 2 if self.lags else acting[:, :-1]
@@ -379,14 +397,20 @@ class Meter:
         return self.works[force]
 
     def _joined(self, name: str) -> Array:
-        """Returns a signal of the block, preceded by its last sample of the previous block."""
+        """Returns a signal of the current block, preceded by its last sample in the previous block."""
         signal = self[name]
         joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
         self.before[name] = signal[:, -1:].copy()
         return joined
 
     def _weigh(self, name: str, acceleration: Array, seen: int) -> None:
-        """Weighs the next samples of an acceleration, shape (N, B), after so many, and adds those of the window."""
+        """Filters the next samples of an acceleration with W_k, and adds those within the window to the totals.
+
+        Args:
+            name: name of the acceleration.
+            acceleration: samples [m/s2], shape (N, B).
+            seen: number of samples before these.
+        """
         skip = max(self.first + self.late - seen, 0)
         weighted, wk = np.zeros_like(acceleration), self.filter
         parts, self.memory[name] = filter_signals(wk.numerators, wk.denominators, acceleration, self.memory[name])
@@ -410,11 +434,16 @@ def measure(
     earlier: bool = False,
     speed: float = math.nan,
 ) -> dict[str, float]:
-    """Returns the metrics of one response from sample `first` on; NaN if it broke off. Arguments as for `Meter`.
+    """Returns the metrics of one response by name; NaN if the run broke off.
 
     Args:
-        end: index of the sample after the last one measured; None for the end of the response.
-        speed: speed of the vehicle [m/s].
+        vehicle: the vehicle.
+        response: response of the run.
+        first: index of the first measured sample.
+        loaded: True if loads act on the body, so that its angles are measured.
+        end: index of the sample after the last measured one; None for the end of the response.
+        earlier: see `Meter`.
+        speed: speed of the vehicle [m/s]; NaN if it is unknown.
     """
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier, speeds=[speed])
     meter.update(response.values[:end, :, None])

@@ -1,4 +1,4 @@
-"""The study of ride over random roads of several classes, in MuJoCo and as their spectrum predicts."""
+"""The study of ride over random roads of several classes, measured in MuJoCo and predicted from their spectrum."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,22 +30,22 @@ from sim.studies.subject import AVERAGE, SEEDS, SPEED, Subject
 from synth.controller.controller import AnyController
 
 CLASSES = "ABCD"
-WINDOW = 10.0  # s of measurement, after the transient
-LONGEST = 20.0  # s, of a transient that is waited for
+WINDOW = 10.0  # s, duration of the measurement after the transient
+LONGEST = 20.0  # s, longest transient before the measurement
 
 
 @dataclass(frozen=True)
 class Ride:
-    """Metric of one controller over the roads of one class; numbers are NaN if they do not exist.
+    """A metric of one controller over the roads of one class. Values that do not exist are NaN.
 
     Attributes:
         road_class: road class of ISO 8608.
         controller: name of the controller.
         metric, unit: name and unit of the metric.
-        measured: root mean square over the seeds, measured in MuJoCo.
+        measured: root mean square over the roads, measured in MuJoCo.
         predicted: prediction from the spectrum of the class.
-        spread: standard deviation from road to road.
-        events: frequency of lift-offs on these roads, in words.
+        spread: predicted standard deviation from road to road.
+        events: text with the share of time in which a tyre lifts off, and with the number of runs that broke off.
     """
 
     road_class: str
@@ -59,7 +59,7 @@ class Ride:
 
     @property
     def share(self) -> float | None:
-        """Returns the spread as a share of the prediction, or None without one."""
+        """Spread relative to the prediction; None if one of them is unknown."""
         share = self.spread / self.predicted if self.predicted else math.nan
         return share if math.isfinite(share) else None
 
@@ -80,7 +80,7 @@ RIDE: tuple[Field[Ride], ...] = (
 
 
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
-    """Returns the section: metrics of every controller on the roads of every class."""
+    """Returns the section about the ride: metrics of all controllers on the roads of all classes."""
     caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m."
     headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
     rough = Table("roads", caption, headings, tuple(_roughness_row(vehicle, name) for name in CLASSES), detail="full")
@@ -91,7 +91,7 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, St
 
 
 def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
-    """Returns the IRI of the roads driven of a class, over the measured distance, and its expectation over the class."""
+    """Returns a row of the table of roads: class, tracks, expected IRI of the class, and IRIs of the simulated roads."""
     distance, width = SPEED * WINDOW, track_width(vehicle)
     roughness = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
     which = next(i for i, one in enumerate(roughness[0]) if one.name == ("mean" if width else "left"))
@@ -101,7 +101,7 @@ def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
 
 
 def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
-    """Returns the figure of every metric over the classes: lines are predicted, markers are MuJoCo."""
+    """Returns the figure of all metrics over the road classes. Lines are predictions, and markers are MuJoCo results."""
     ticks = tuple(float(k) for k in range(len(CLASSES)))
     panels = []
     for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
@@ -110,7 +110,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
             look, some = style[name], [one for one in rides if (one.metric, one.controller) == (metric, name)]
             x = np.array([float(CLASSES.index(one.road_class)) for one in some])
             predicted, measured = (np.array([get(one) for one in some]) for get in (attrgetter("predicted"), MEASURED_RIDE.value))
-            if np.isfinite(predicted).any():  # not of a law in Python
+            if np.isfinite(predicted).any():  # laws in Python have no prediction
                 curves.append(Curve(x, predicted, name, look.color, look.dash))
             if some:
                 curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=f"{name}, MuJoCo"))
@@ -125,7 +125,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
 
 
 def _best_ride(rides: Sequence[Ride]) -> str:
-    """Returns a sentence on the smallest acceleration over the class `AVERAGE`, or an empty one without a choice."""
+    """Returns a sentence about the controller with the best ride over class `AVERAGE`; empty for fewer than two controllers."""
     some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, rides[0].metric) and math.isfinite(one.measured)]
     if len(some) < 2:
         return ""
@@ -135,7 +135,7 @@ def _best_ride(rides: Sequence[Ride]) -> str:
 
 
 def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns sentences on the table of ride, and on the parts that its predictions omit."""
+    """Returns sentences that explain the table of the ride, and which parts of the vehicle the predictions omit."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
     without = join_words([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
@@ -151,10 +151,17 @@ def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 class OverRoads:
-    """A controller in MuJoCo over the roads of some classes."""
+    """MuJoCo runs of a controller over the random roads of some classes."""
 
     def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
-        """Simulates the controller, by default over the roads of all classes."""
+        """Simulates the controller.
+
+        Args:
+            vehicle: the vehicle.
+            controller: the controller.
+            timestep: timestep of the simulation [s].
+            classes: road classes, such as "AC"; None for all classes.
+        """
         self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
         start = min(settling_time(vehicle, controller), LONGEST)
         time = sample_times(vehicle, start + WINDOW, timestep)
@@ -171,19 +178,19 @@ class OverRoads:
         self.found = meter.result()
 
     def score(self) -> Score:
-        """Returns the score of the controller on the roads of the class `AVERAGE`, if none of its runs broke off there."""
+        """Returns the score of the controller on the roads of class `AVERAGE`; without values if one of these runs broke off."""
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
             return score_of(self.vehicle, self.controller.name, {})
         return score_over_runs(self.vehicle, self.controller.name, {name: each[runs] for name, each in self.found.items()})
 
     def _runs(self, road_class: str) -> slice:
-        """Returns the indices of the runs over a class."""
+        """Returns the indices of the runs over the roads of a class."""
         first = self.classes.index(road_class) * len(SEEDS)
         return slice(first, first + len(SEEDS))
 
     def rides(self) -> Iterator[Ride]:
-        """Yields every metric of every class."""
+        """Yields all metrics for all classes."""
         vehicle, controller = self.vehicle, self.controller
         ideal = replace(vehicle, implementation=vehicle.implementation.without_noise)
         metrics = [one for one in metrics_of(vehicle) if one.headline and (controller.acts or not one.effort)]
@@ -208,7 +215,7 @@ class OverRoads:
 
 
 class RideStudy(Study[tuple[list[Ride], list[Score]]]):
-    """Ride over random roads, and the controllers' scores there, on a page."""
+    """Study that adds the ride over random roads to a report, and computes the scores of the controllers on these roads."""
 
     seconds = 7.0
 
@@ -217,7 +224,7 @@ class RideStudy(Study[tuple[list[Ride], list[Score]]]):
         return {"": scope} if not scope.quick and (scope.stable or scope.laws) else {}
 
     def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Score]]:
-        """Returns the ride of stable controllers and of laws, and their scores and that of passive."""
+        """Returns the ride of all stable controllers and nonlinear laws, and their scores with that of the passive vehicle."""
         reported = (*request.stable, *request.laws)
         driven = [OverRoads(request.vehicle, one, request.timestep) for one in reported]
         passive = [] if any(one.name == PASSIVE for one in reported) else [request.designer.design(PASSIVE)]

@@ -1,4 +1,4 @@
-"""Poles of a sampled loop, near which its spectra need fine quadrature, and the spectrum of an amplitude."""
+"""Poles of a sampled loop, near which the integration of its spectra needs a fine grid, and spectra from amplitudes."""
 
 import math
 
@@ -13,9 +13,18 @@ from synth.controller.loop_of import loop_of
 
 
 def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
-    """Returns poles of the sampled loop and of the weighting up to a frequency [rad/s], and the slowest one's relative rounding.
+    """Returns the poles that determine the peaks of spectra, and a relative rounding error.
 
-    A sampled loop repeats its poles at every multiple of the sampling frequency, and so does the weighting of images.
+    These are the poles of the sampled loop and of the frequency weighting. Both repeat at multiples of the sample rate.
+
+    Args:
+        vehicle: the vehicle.
+        controller: the controller.
+        timestep: timestep of the simulation [s].
+        high: frequency up to which poles are repeated [rad/s].
+
+    Returns:
+        Poles [1/s], and the relative rounding error of the slowest pole.
     """
     loop = loop_of(vehicle, controller, timestep).closed_loop.A
     period = timestep * steps_per_sample(vehicle.implementation, timestep)
@@ -28,5 +37,5 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
 
 
 def power_of(amplitude: Array) -> Array:
-    """Returns the spectrum of a signal from its amplitudes by source, shape (..., 2) to (...)."""
+    """Returns the spectrum of a signal, shape (...), from its amplitudes for both sources, shape (..., 2)."""
     return np.sum(np.abs(amplitude) ** 2, axis=-1)

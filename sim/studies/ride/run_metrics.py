@@ -1,4 +1,7 @@
-"""Metrics of a run in MuJoCo, of the sampled response over the same road, and expected over all such roads; as table and JSON."""
+"""Metrics of a run: measured in MuJoCo, in the sampled response over the same road, and expected over random roads.
+
+Start with `measure_run`. `describe` and `record` return the metrics as text and as JSON.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,27 +40,28 @@ from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
-NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a remark
-NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
+NEARLY = 0.01  # relative difference between the durations of a run and of its road above which a remark is printed
+NO_ANGLE = 1e-9  # deg, largest rounding error of angles that symmetry keeps at zero
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
-    """Returns every IRI of the road that a vehicle passes in a run.
+    """Returns all IRIs of the part of a road that a vehicle drives in a run, one per track.
 
     Args:
-        road: a road over distance or over time.
-        time: times of the samples from 0 [s], shape (T,).
+        vehicle: the vehicle.
+        road: road over distance or over time.
+        time: sample times from 0 [s], shape (T,).
     """
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
 
 
 def roughness(found: Sequence[Roughness]) -> dict[str, Any]:
-    """Returns a road's IRI by its name in JSON; empty for a road without one."""
+    """Returns the IRIs [m/km] of a road by name for JSON; empty for a road without an IRI."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 
 def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the IRIs of a road under a vehicle: one per track, or a single one."""
+    """Returns the names of the IRIs of a road: one per track, or only `iri` if the vehicle has no track width."""
     return tuple(f"iri_{track}" for track in TRACKS) if track_width(vehicle) else ("iri",)
 
 
@@ -67,16 +71,16 @@ def _name(one: Roughness, roughness: Sequence[Roughness]) -> str:
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """Values of one metric of one run: in physics, predicted and expected.
+    """Values of one metric of a run: in MuJoCo, in linear analysis, and expected over random roads.
 
     Attributes:
-        unit: SI.
-        mujoco: value in physics, or None if the run broke off.
-        sampled: value in the exact sampled response over the same road, or None if the run broke off.
-        expected: expectation over all roads of this kind, from their spectrum, or None without a spectrum, stable linear loop or
-            formula.
-        spread: standard deviation from road to road, or None if it is unknown.
-        approximate: True if the expectation is approximate.
+        unit: SI unit.
+        mujoco: value in MuJoCo; None if the run broke off.
+        sampled: value in the exact sampled response over the same road; None if the run broke off.
+        expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
+            linear and stable, or the metric has no known expected value.
+        spread: standard deviation of the expected value from road to road; None if it is unknown.
+        approximate: True if the expected value is approximate.
     """
 
     unit: str
@@ -96,7 +100,7 @@ ERROR = Field[float]("relative error", float, ".1g")
 METRIC: tuple[Field[MetricComparison], ...] = (
     Field("unit", lambda one: one.unit, key="unit"),
     MUJOCO,
-    Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
+    Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # the key in files is "linear", see `sim.recording.run_log`
     EXPECTED_VALUE,
     SPREAD,
 )
@@ -104,16 +108,16 @@ METRIC: tuple[Field[MetricComparison], ...] = (
 
 @dataclass(frozen=True, repr=False)
 class RunMetrics(ShownResult):
-    """All metrics of one run, with the basis of their expectations.
+    """All metrics of one run, with information about their expected values.
 
     Attributes:
         metrics: metrics by name.
-        settled: remaining transient of the variances when measuring begins, or None for roads without a spectrum, unstable loops,
-            and laws in Python.
-        error: largest relative error of the expectations' integrals, or None without expectations.
-        line: the linear vehicle of the expectations, or None.
-        static: angles of the linear loop at rest under the final loads [deg]. None without loads; empty without such a loop, or
-            without a rest.
+        settled: transient that remains when the measurement begins; None for roads without a spectrum, unstable loops, and laws
+            in Python.
+        error: largest relative error of the integrals of expected values; None without expected values.
+        line: linear vehicle from which the expected values follow; None without expected values.
+        static: angles of the body in equilibrium of the linear loop under the final loads [deg], by name. None without loads;
+            empty if the loop is unstable or the law is nonlinear.
     """
 
     metrics: Mapping[str, MetricComparison]
@@ -124,7 +128,7 @@ class RunMetrics(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Returns every metric as text: MuJoCo's, the sampled response's, and what is expected."""
+        """Document with all metrics as text: values in MuJoCo and in the sampled response, and expected values."""
         rows = {
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
@@ -136,19 +140,21 @@ class RunMetrics(ShownResult):
 def measured_samples(
     driven: Sequence[tuple[Vehicle, AnyController]], road: Road, duration: float, timestep: float, settle: float | None = None
 ) -> tuple[int, int | None]:
-    """Returns the first sample that is measured, and the one after the last; None for the end of the run.
+    """Returns the index of the first measured sample, and the index after the last measured one (None for the end of the run).
 
-    - On a random road measuring begins when the transient has decayed, but no later than half of the run. For a law in Python,
-      whose transient is unknown, it begins at half of the run.
-    - Over a single obstacle the passage is measured, the same with all controllers: from the first wheel's contact until the
-      last wheel has left, and then as long as the vehicle settles without control.
-    - On other roads, and with loads, all of the run is measured.
+    - On a random road, the measurement begins when the transient has decayed, but at half of the run at the latest. The
+      transient of a law in Python is unknown, so its measurement begins at half of the run.
+    - Over a single obstacle, the measurement covers the passage, and is the same for all controllers. It begins when the first
+      wheel reaches the obstacle. It ends when the passive vehicle would have settled after its last wheel has left the
+      obstacle.
+    - On other roads, and with loads, the whole run is measured.
 
     Args:
-        driven: every vehicle with each of its controllers.
+        driven: pairs of vehicle and controller that are compared.
+        road: road of the runs.
         duration: duration of the run [s].
         timestep: timestep of the run [s].
-        settle: time at which measuring begins on a random road [s]; None for the rule above.
+        settle: time at which the measurement begins on a random road [s]; None for the rule above.
 
     Raises:
         InputError: `settle` is longer than half of the run, or the road is not random.
@@ -168,12 +174,18 @@ def measured_samples(
 
 
 def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tuple[str, float]]:
-    """Returns the name and the settling time [s] of each controller; infinite for a law in Python, whose transient is unknown."""
+    """Returns the name and the settling time [s] of each controller. The time is infinite for a law in Python."""
     return [(one.name, settling_time(car, one)) for car, one in driven]
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
-    """Returns the reason for which measuring begins at a time [s] on a random road, for a sentence."""
+    """Returns a clause that explains why the measurement on a random road begins at a time.
+
+    Args:
+        driven: pairs of vehicle and controller that are compared.
+        start: time at which the measurement begins [s].
+        duration: duration of the run [s].
+    """
     last, slowest = max(settling_times(driven), key=lambda one: one[1])
     if start >= duration / 2 and slowest > start:
         return f", half of the run, as {as_name(last)} settles later"
@@ -182,33 +194,48 @@ def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, 
 
 
 def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
-    """Returns the measured stretch of a run in words, from sample times [s] and `measured_samples`."""
+    """Returns a text that describes the measured time, from the sample times [s] and the result of `measured_samples`."""
     first, end = samples
     begins = f"from {WHEN.digits(time[first])}"
     return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, the passage"
 
 
 def points_end(road: Road, duration: float) -> float | None:
-    """Returns the time at which the points of a road from a file end [s]; None if they last as long as a run [s]."""
+    """Returns the time at which the points of a road from a file end [s]; None if they end with the run or later.
+
+    Args:
+        road: road of the run.
+        duration: duration of the run [s].
+    """
     ends = road.duration
     return ends if road.points is not None and ends < duration and not math.isclose(ends, duration, rel_tol=NEARLY) else None
 
 
 def end_words(road: Road, duration: float) -> str:
-    """Returns a phrase on a road whose points end before a run of this duration [s]; empty for other roads."""
+    """Returns a clause about a road from a file whose points end before the run; empty for other roads.
+
+    Args:
+        road: road of the run.
+        duration: duration of the run [s].
+    """
     ends = points_end(road, duration)
     return "" if ends is None else f"; after {rough(ends)} s, the road has no points and is straight"
 
 
 def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
-    """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
+    """Measures ride, suspension travel, road holding and actuator effort of a run.
 
     Args:
-        first: index of the first sample measured; 0 for the whole run.
-        end: index of the sample after the last one measured; None for the end of the run.
+        run: run to measure.
+        first: index of the first measured sample; 0 for the whole run.
+        end: index of the sample after the last measured one; None for the end of the run.
+
+    Returns:
+        Metrics by name in SI units, with their values in MuJoCo and in the exact sampled response. On a random road, the result
+        also contains the expected values over all roads with the same spectrum.
 
     Raises:
-        InputError: the run has no such samples.
+        InputError: fewer than two samples would be measured.
 
     Example:
         >>> from models import Bump, read_vehicle
@@ -232,7 +259,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
         transient = remaining_transient(line, controller, spectrum, timestep, float(time[first]))
     mujoco, sampled = dict[str, float](), dict[str, float]()
     if run.broke_off is None:
-        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
+        with np.errstate(over="ignore", invalid="ignore"):  # the signals of an unstable loop overflow
             mujoco, sampled = (
                 measure(vehicle, response, first, road.loaded, end, run.prediction.input.earlier, road.speed)
                 for response in (run.physics, run.sampled)
@@ -248,11 +275,13 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
 
 
 def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> Document:
-    """Returns all metrics of a run and its road.
+    """Returns the printed document with all metrics of a run and the IRIs of its road.
 
     Args:
-        start, end: times between which the metrics are measured [s].
-        roughness: every IRI of the road that the run passes.
+        run: the run.
+        metrics: metrics of the run.
+        start, end: first and last time of the measurement [s].
+        roughness: IRIs of the driven part of the road.
     """
     vehicle, about = run.vehicle, [*broken_off_sentence(run), *_basis(run, metrics)]
     title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}{end_words(run.road, end)}"
@@ -260,7 +289,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
     if run.broke_off is not None and not random:
         return Document(title, notes(*about))
     rows = [(one.source, one.what, metrics.metrics[one.name]) for one in metrics_of(vehicle, run.road.loaded)]
-    if any(one.iri or one.expected for one in roughness):  # a flat road has none
+    if any(one.iri or one.expected for one in roughness):  # the IRI of a flat road is 0
         own = [(_name(one, roughness), (one.iri, one.iri, one.expected, one.spread)) for one in roughness]
         rows = [*(("road", name, MetricComparison(UNIT, *numbers, False)) for name, numbers in own), *rows]
         about.append(f"{ABOUT_IRI}.")
@@ -278,7 +307,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
 
 
 def _basis(run: Run, metrics: RunMetrics) -> list[str]:
-    """Returns sentences on the basis of the expected values, and on what the linear values leave out."""
+    """Returns sentences about the accuracy of the expected values, and about effects that the linear values omit."""
     vehicle, said = run.vehicle, list[str]()
     if (settled := metrics.settled) is not None:
         said.append(
@@ -310,7 +339,7 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
 
 
 def broken_off_sentence(run: Run) -> list[str]:
-    """Returns a sentence on a run that broke off; empty for others."""
+    """Returns a sentence with the reason if a run broke off; otherwise an empty list."""
     if run.broke_off is None:
         return []
     end, at = run.broke_off
@@ -318,9 +347,9 @@ def broken_off_sentence(run: Run) -> list[str]:
 
 
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
-    """Returns the largest angles of the body under loads, and the ride that is expected over all roads of a random kind.
+    """Returns the document with the largest angles of the body under loads, and the expected ride over random roads.
 
-    For more than `FEW` runs the expected ride is a detail.
+    For more than `FEW` runs, only `-v` prints the expected ride.
     """
     angles = [
         {

@@ -1,4 +1,7 @@
-"""Comparison of controllers as a table, a row each, with the change from passive, the best marked; as text and for `--json`."""
+"""Table that compares controllers, as text and for `--json`.
+
+The table has a row per controller, shows changes relative to the passive vehicle, and marks the best values.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,13 +18,13 @@ from sim.studies.ride.scores import COLUMNS, FIELDS, FORCES, Score, best, score_
 STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
 USED_TRAVEL = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
 SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
-CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}  # of which the change from passive is shown
-MANY = 4  # names in a sentence
-MOST_POINTS = 2  # columns of ride at other points than those with a person
+CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}  # columns that show changes from passive
+MANY = 4  # largest number of names in a sentence
+MOST_POINTS = 2  # largest number of columns for the ride at points without a person
 
 
 def headline(scores: Sequence[Score]) -> str:
-    """Returns in a line who is best at ride and at road holding."""
+    """Returns a line about the controllers with the best ride and the best road holding."""
     marked = best(scores)
     praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
     said: dict[tuple[str, ...], list[str]] = {}
@@ -32,7 +35,7 @@ def headline(scores: Sequence[Score]) -> str:
 
 
 def some_names(names: Sequence[str]) -> str:
-    """Returns names of controllers in a sentence, or their number if they are many."""
+    """Returns the names of controllers for a sentence, or only their number if there are more than `MANY`."""
     return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
@@ -47,15 +50,16 @@ ROW = Record[Score](
 
 
 def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
-    """Returns the table as a JSON object, in SI units, with the best of each column."""
+    """Returns the table as a JSON object in SI units, with the best controllers of each column."""
     return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
 
 
 def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
-    """Returns the comparison of controllers; changes are from passive of the same vehicle.
+    """Returns the table that compares controllers. Changes are relative to the passive vehicle of the same file.
 
     Args:
-        about: the measurement in words.
+        scores: scores of the controllers, one per row.
+        about: text that describes the measurement.
         more: further columns.
     """
     passive = {one.vehicle: one for one in scores if one.controller == PASSIVE and not one.without and len(scores) > 1}
@@ -83,18 +87,18 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
 
 
 def score_lines(scores: Sequence[Score], about: str) -> list[str]:
-    """Returns the comparison for a terminal, with its caption below."""
+    """Returns the printed lines of the table, with its caption below the table."""
     one = compared_table(scores, about)
     return [*(table_lines(one) if len(one.headings) > one.words else []), *wrap_text(one.caption, GAP, len(GAP))]
 
 
 def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
-    """Returns the column of a quantity in which those of these names have a mark."""
+    """Returns the column of a quantity in which the controllers with these names are marked as best."""
     return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
 
 
 def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score]:
-    """Returns the column of changes from passive of the same vehicle, "-" for a missing, zero or equal number."""
+    """Returns the column of changes relative to the passive vehicle; "-" if a value is missing, equal or zero."""
 
     def change(one: Score) -> str | None:
         value, usual = quantity.value(one), quantity.value(passive[one.vehicle])
@@ -107,9 +111,9 @@ def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score
 
 
 def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
-    """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
+    """Returns the columns of a quantity: first that of the vehicle, then those of further points if the vehicle has a person.
 
-    If there are more than `MOST_POINTS` other points, their column has the largest value.
+    More than `MOST_POINTS` further points share one column, which contains the largest value.
     """
     begin = f"{quantity.key}_"
     points = dict.fromkeys(key for one in scores for key in one.values if key not in COLUMNS and key.startswith(begin))
@@ -125,9 +129,10 @@ def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Sc
 
 
 def _travel(quantity: Field[Score], scores: Sequence[Score]) -> tuple[list[Field[Score]], str]:
-    """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
+    """Returns the columns of travel, and a text about the strokes for the caption.
 
-    A side is in mm if all runs have the same strokes, else in per cent of its stroke.
+    If all runs have stops, bump and rebound have separate columns: in mm if all strokes are equal, otherwise in per cent of the
+    stroke.
     """
     whole = [one for one in scores if quantity.value(one) is not None]
     sides = [side for side in SIDES if any(side in one.strokes for one in whole)]

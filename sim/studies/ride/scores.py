@@ -1,6 +1,6 @@
-"""Scores of controllers in a comparison: ride, travel, tyre load and force, and the best of each.
+"""Scores of controllers for a comparison: ride, travel, tyre load and force, and the best controller in each.
 
-For a vehicle with several wheels, suspensions or actuators, each value is that of the worst one.
+If a vehicle has several wheels, suspensions or actuators, each value is that of the worst wheel, suspension or actuator.
 """
 
 import math
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Score:
-    """A row of the comparison: a controller's metrics on a road, in MuJoCo.
+    """A row of the comparison: the metrics of one controller on a road in MuJoCo.
 
     Attributes:
         controller: name of the controller.
-        values: values by key of `FIELDS`, in SI units; None if the vehicle lacks it or the run broke off.
-        sound: False for a law that is unstable by itself or winds up; it is never called the best.
-        vehicle: the name of its vehicle, for rows of several; empty if there is one.
-        without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the implemented loop.
-        strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
-            A side without a stop is left out; empty without strokes or a run.
+        values: values by key of `FIELDS`, in SI units; None if the vehicle does not have this metric or the run broke off.
+        sound: False for a law that is unstable without feedback or winds up. Such a law is never marked as best.
+        vehicle: name of the vehicle, if several are compared; otherwise empty.
+        without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
+        strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
+            stroke. A side without a stop is omitted. Empty if there are no stops or no run.
     """
 
     controller: str
@@ -47,28 +47,28 @@ class Score:
 
     @property
     def name(self) -> str:
-        """The controller, and what its run leaves out."""
+        """Name of the controller, followed by the omitted part of the vehicle."""
         return f"{self.controller}{variant(self.without)}"
 
     @property
     def label(self) -> str:
-        """The vehicle, if there are several, and the name."""
+        """Name of the row, preceded by the vehicle if several are compared."""
         return f"{self.vehicle}:{self.name}".removeprefix(":")
 
 
 def score_field(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Score]:
-    """Returns the field of a value."""
+    """Returns the field of a score with this key."""
     return Field(label, lambda one: one.values.get(key), three_digits, scale, key, unit)
 
 
 COLUMNS = {name: one.column for name, one in METRICS.load_all().items() if one.column}
 FIELDS = tuple(score_field(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
-FORCES = tuple(one for one in FIELDS if METRICS.load(one.key).effort)  # passive has none
+FORCES = tuple(one for one in FIELDS if METRICS.load(one.key).effort)  # fields that do not apply to the passive vehicle
 KEYS = tuple(one.key for one in FIELDS)
 
 
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
-    """Returns `Score.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
+    """Returns `Score.strokes` for a response; arguments as in `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
     for name, strokes in vehicle.parts.strokes.items():
         for side, stroke in strokes.items():
@@ -79,14 +79,14 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def without_unsound(scores: Iterable[Score], unsound: Collection[str]) -> list[Score]:
-    """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
+    """Returns the scores with `sound` set to False for the controllers in `unsound`."""
     return [replace(one, sound=False) if one.controller in unsound else one for one in scores]
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
-    """Returns, for each of `KEYS`, the metrics of which it is the largest; empty if the vehicle has no such metrics.
+    """Returns the names of the metrics whose largest value is shown, by key; empty if the vehicle has none of these metrics.
 
-    A vehicle with a person has the key `ride_...` of every point, too, those with a person first; `ride` is that of persons.
+    For a vehicle with a person, `ride` contains the points with a person. A further key `ride_...` then exists for each point.
     """
     columns: dict[str, tuple[str, ...]] = {}
     for key, metrics in compared_metrics(vehicle).items():
@@ -98,7 +98,13 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 
 
 def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Score:
-    """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
+    """Returns the score of a controller from the metrics of its run.
+
+    Args:
+        vehicle: the vehicle.
+        controller: name of the controller.
+        metrics: values by name of the metric; empty for a run that broke off, whose score has only None.
+    """
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
     largest = {
         key: max((one for one in some if one is not None and math.isfinite(one)), default=None) for key, some in values.items()
@@ -107,9 +113,13 @@ def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
 
 
 def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None) -> Score:
-    """Returns a controller's row over several runs; each metric is an array with a number for every run.
+    """Returns the score of a controller over R runs, see `over_runs`. A value is None if a run does not have this metric.
 
-    Numbers are those of `over_runs`, with its distances. Those are None that a run lacks.
+    Args:
+        vehicle: the vehicle.
+        controller: name of the controller.
+        metrics: values of all runs by name of the metric, shape (R,) each.
+        distances: measured distance of each run [m], shape (R,); None if all are equal.
     """
     names = {name for some in columns_of(vehicle).values() for name in some}
     over = {one.name: over_runs(one, metrics[one.name], distances) for one in metrics_of(vehicle) if one.name in names}
@@ -117,9 +127,10 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
 
 
 def best(scores: Iterable[Score]) -> dict[str, list[str]]:
-    """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
+    """Returns the names of the best controllers by key: those with the smallest value, rounded to the digits of the table.
 
-    Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
+    The comparison of forces does not include the passive vehicle. Laws that are not sound are never the best. If all values are
+    equal, no controller is the best.
     """
     names: dict[str, list[str]] = {}
     sound = [one for one in scores if one.sound]
@@ -140,13 +151,15 @@ def scores_of_runs(
     without: Sequence[str] = (),
     title: str = "",
 ) -> list[Score]:
-    """Returns the score of every controller, passive first, and each run without a part after the implemented loop.
+    """Returns the scores of runs. The passive vehicle comes first; runs that omit a part follow that of the whole vehicle.
 
     Args:
-        samples: first measured sample, and the one after the last; None for the end of the runs.
-        measured: metrics of the runs between these samples, if known.
+        runs: runs of the controllers over the same road.
+        passive: MuJoCo's response of the passive vehicle.
+        samples: index of the first measured sample, and index after the last; None for the end of the runs.
+        measured: metrics of the runs between these samples, if they are known.
         without: part of the vehicle that each run omits; empty if no run omits a part.
-        title: title of the vehicle, among several.
+        title: title of the vehicle, if several are compared.
     """
     road, (first, end) = runs[0].road, samples
     known: dict[int, Mapping[str, float | None]] = {

@@ -1,35 +1,38 @@
-"""Statistical linearisation: the line that fits a curve best over a random road, and the remainder to second order.
+"""Statistical linearisation: the straight line that best approximates a nonlinear force on a random road, and its remainder.
 
-`synth.controller.equivalent_line.py` computes the line.
+The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the line.
 
-The remainder of a curve beyond its line is added to second order. It acts as noise, down to frequencies below those of the road.
-It excites most a slow mode that a controller leaves: without it, travel would be some 5 % too small.
+The remainder is the difference between curve and line. It is included to second order. The remainder acts as noise, which also
+has frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle; without the remainder,
+travel would be about 5 % too small.
 
-For a Gaussian signal x = m + s z a curve is a sum of Hermite polynomials of z,
+For a Gaussian signal x = m + s z, a curve is a sum of Hermite polynomials of z,
 
-    F(x) = E F + s E F' z + e,    e = sum over n >= 2 of c_n He_n(z),    n! c_n = s sum over knots of d_i phi(a_i) He_{n-2}(a_i),
+    F(x) = E F + s E F' z + e,    e = sum over n >= 2 of c_n He_n(z),    n! c_n = s sum over knots of d_i phi(a_i)
+    He_{n-2}(a_i),
 
-with a_i as above. Statistical linearisation neglects e. Its covariance is, with rho_ij the correlation of x_i with x_j (F. G.
-Mehler's formula),
+where d_i is the change of the slope at a knot, and a_i is the position of this knot minus m, divided by s. Plain statistical
+linearisation neglects e. With the correlation rho_ij of x_i and x_j, the covariance of e is (F. G. Mehler's formula)
 
     D_ij(tau) = E e_i(t + tau) e_j(t) = sum of c_in c_jn n! rho_ij(tau)^n.
 
-Its even terms have a spectrum down to frequency 0, where a road has no power and a slow loop responds most. The motion due to e
-also meets the curves' slopes, which are correlated with e. With R_ij(tau) the response of x_i to a force in j, to second order in
-e,
+The even terms of this covariance have a spectrum down to frequency 0, where the road has no power and a slow loop responds
+most. The slopes of the curves are correlated with e, which affects the motion due to e. With the impulse response R_ij(tau) of
+x_i to a force in j, to second order in e,
 
     F(x) = <F> + s E F' z + sum over j of (Sigma_ij * x_j) + noise of covariance D,
     Sigma_ij(tau) = R_ij(tau) sum over n >= 2 of n^2 (n - 1)! c_in c_jn / (s_i s_j) rho_ij(tau)^(n-1),
     <F_i> = E F_i + sum over j of the integral of R_ij(tau) sum over n >= 2 of (n + 1)! c_i,n+1 c_jn / s_i rho_ij(tau)^n,
 
-with s, rho and R of the resulting vehicle (the direct interaction approximation: R. H. Kraichnan (1959), J. Fluid Mech. 5,
-497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). So the memory Sigma is a frequency-dependent
-slope between signals, the noise a source in addition to the road, and the mean force changes.
+where s, rho and R are those of the resulting vehicle (the direct interaction approximation: R. H. Kraichnan (1959), J. Fluid
+Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma is a
+frequency-dependent slope between signals. The noise is a source in addition to the road. The mean force changes.
 
-Degrees 2 to 4 are included. Higher ones are faster than anything that a suspension amplifies. For sharp bends, as of friction,
-their second order is too large: with all of them the error of ride would grow by 0.3 %, and no error would fall. If e has more
-than `SHARP` of a force's variance, accelerations follow from the line alone, within 3 %; with the remainder they would be up to
-13 % too small. Slow signals keep the remainder, without which travel would be up to 25 % too small.
+Degrees 2 to 4 are included. Higher degrees have frequencies that no suspension amplifies. For sharp bends, for example due to
+friction, the second order of higher degrees is too large. With all degrees, the error of ride would grow by 0.3 %, and no error
+would decrease. If e has a larger share of the variance of a force than `SHARP`, accelerations are computed from the line alone,
+with an error up to 3 %. With the remainder, they would be up to 13 % too small. Slow signals include the remainder, without
+which travel would be up to 25 % too small.
 """
 
 import math
@@ -55,30 +58,30 @@ from synth.plant.quadrature import sample_band
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
-DEGREES = (2, 3, 4)  # of the Hermite polynomials included
-COUNT = 4096  # frequencies
-HIGHEST = 2 * np.pi * 125.0  # least upper end of the frequencies [rad/s]
-ABOVE = 6.0  # upper end for a faster vehicle, over the rate of its fastest oscillation
+DEGREES = (2, 3, 4)  # degrees of the Hermite polynomials that are included
+COUNT = 4096  # number of frequencies
+HIGHEST = 2 * np.pi * 125.0  # smallest upper end of the frequencies [rad/s]
+ABOVE = 6.0  # upper end of the frequencies for a faster vehicle, relative to the frequency of its fastest oscillation
 MEMORY_CONSISTENT = 1e-6  # relative change at which the iteration ends
-MEMORY_DIRECT = 10  # rounds with full steps
-MEMORY_ROUNDS = 100  # limit of all rounds
-SHARP = 0.04  # share of a force's variance beyond its line, as of a friction-like damper
-GAUSS = np.polynomial.hermite_e.hermegauss(200)  # nodes and weights of averages over a Gaussian variable
-LOWEST = 1e-3  # lower end of the noise, relative to the road's lowest frequency
+MEMORY_DIRECT = 10  # number of iterations with full steps
+MEMORY_ROUNDS = 100  # largest number of iterations
+SHARP = 0.04  # share of the remainder in the variance of a force, above which a curve is sharp, for example due to friction
+GAUSS = np.polynomial.hermite_e.hermegauss(200)  # nodes and weights for averages over a Gaussian variable
+LOWEST = 1e-3  # lowest frequency of the noise, relative to the lowest frequency of the road
 
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Remainders of e curves beyond their lines, as linear memory and noise.
+    """Remainders of e curves, as linear memory and noise.
 
     Attributes:
-        pulls: names of the deflections along which the forces pull, e of them.
-        index: index of each curve's argument among the vehicle's outputs, shape (e,).
-        omega: frequencies, ascending from 0 [rad/s], shape (F,).
+        pulls: names of the e deflections along which the forces act.
+        index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
+        omega: frequencies [rad/s], ascending from 0, shape (F,).
         memory: transfer matrix from the arguments to the forces, without the lines, shape (F, e, e).
         noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
         mean_force: mean forces without those of the lines [N], shape (e,).
-        share: largest share of a force's variance that is beyond its line.
+        share: largest share of the remainder in the variance of a force.
     """
 
     pulls: tuple[str, ...]
@@ -91,20 +94,22 @@ class Remainder:
 
     @property
     def sharp(self) -> bool:
-        """True if accelerations follow from the line alone."""
+        """True if accelerations are computed from the line alone."""
         return self.share > SHARP
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
-        """Returns the excitation of wheels and curves, over the amplitude of the road.
+        """Returns the excitation of wheels and curves, relative to the amplitude of the road.
 
         Args:
-            vehicle: linear vehicle with the lines of the curves, r wheels.
+            vehicle: linear vehicle with r wheels, in which lines replace the curves.
+            road: spectrum of the road.
             omega: frequencies [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
-            at_steps: the `stepwise_frequency_response` of the loop under the road and forces of the curves.
+            at_steps: `stepwise_frequency_response` of the loop to the road and to forces of the curves.
 
         Returns:
-            By source, the road's two and those of the noise, shape (F, r + e, 2 + e).
+            Excitation of r wheels and e curves (rows) by the two sources of the road and by e noise sources (columns), shape
+            (F, r + e, 2 + e).
         """
         by_road, steps = sources(vehicle, road, omega), len(at_steps) - 1
         by_road = by_road * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
@@ -131,15 +136,17 @@ def remainder(
     means: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
-    """Returns the self-consistent remainders of curves over a road, or None if the iteration does not converge.
+    """Returns the self-consistent remainders of curves over a road; None if the iteration does not converge.
 
     Args:
-        line: lines of e curves.
+        line: lines that replace e curves.
+        controller: the controller.
+        road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
-        fastest: rate of the fastest oscillation of the loop [rad/s].
-        index: index of each curve's argument among the vehicle's outputs, shape (e,).
+        fastest: frequency of the fastest oscillation of the loop [rad/s].
+        index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
         means: initial means of the arguments, shape (e,).
-        resting: maps mean forces of the remainders to means of the arguments, shapes (e,).
+        resting: function that returns the means of the arguments for mean forces of the remainders, shape (e,) both.
     """
     vehicle, lines = line.vehicle, line.slopes
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
@@ -187,14 +194,20 @@ def remainder(
 
 
 def coefficients(curve: ForceCurve, mean: float, deviation: float) -> Array:
-    """Returns the coefficients of a curve in the Hermite polynomials of `DEGREES`, He_n((x - mean) / deviation) [N]."""
+    """Returns the coefficients [N] of a curve for the Hermite polynomials He_n((x - mean) / deviation) of `DEGREES`."""
     a = (curve.x - mean) / deviation
     weights = deviation * np.diff(curve.slopes) * np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
     return np.array([float(weights @ scipy.special.eval_hermitenorm(n - 2, a)) / math.factorial(n) for n in DEGREES])
 
 
 def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float) -> float:
-    """Returns the share of the variance of a curve's force over a Gaussian argument that is beyond the line of this slope."""
+    """Returns the share of the remainder in the variance of a curve's force, for a Gaussian argument.
+
+    Args:
+        curve: the curve.
+        mean, deviation: mean and standard deviation of the argument.
+        slope: slope of the line.
+    """
     z, weights = GAUSS
     force = curve(mean + deviation * z)
     variance = np.average((force - np.average(force, weights=weights)) ** 2, weights=weights)
@@ -202,13 +215,16 @@ def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float
 
 
 def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
-    """Returns the change of the mean forces, the memory and the covariance of the noise, shapes (e,), (T, e, e), (T, e, e).
+    """Returns the second-order terms of the module docstring.
 
     Args:
-        rho: correlations, shape (T, e, e).
+        rho: correlations at T times, shape (T, e, e).
         answer: impulse responses R, shape (T, e, e).
-        c: Hermite coefficients of every curve, shape (e, degrees).
+        c: Hermite coefficients of each curve, shape (e, number of degrees).
         deviations: standard deviations of the arguments, shape (e,).
+
+    Returns:
+        Changes of the mean forces, shape (e,); memory, shape (T, e, e); covariance of the noise, shape (T, e, e).
     """
     memory, noise, force = np.zeros_like(rho), np.zeros_like(rho), np.zeros(len(c))
     power = rho  # rho^(n-1)
@@ -236,13 +252,13 @@ def _interpolate_matrices(omega: Array, matrices: Array, at: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Equivalent:
-    """Linear equivalent of a vehicle with curves over a random road.
+    """Linear equivalent of a vehicle with nonlinear springs or dampers on a random road.
 
     Attributes:
-        vehicle: vehicle without curves.
-        mean: nonzero means of output signals, by name [the signal's unit].
-        rounds: number of iterations; 0 without curves.
-        remainder: remainders of the curves beyond their lines, or None if the iteration does not converge.
+        vehicle: vehicle in which lines replace the curves.
+        mean: nonzero means of output signals in the unit of the signal, by name.
+        rounds: number of iterations; 0 for a linear vehicle.
+        remainder: remainders of the curves; None if the iteration does not converge.
     """
 
     vehicle: Vehicle
@@ -252,9 +268,12 @@ class Equivalent:
 
 
 def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float) -> Equivalent | None:
-    """Returns the linear equivalent of a vehicle, or None if its loop is unstable or the iteration does not converge.
+    """Returns the linear equivalent of a vehicle; None if its loop is unstable or the iteration does not converge.
 
     Args:
+        vehicle: the vehicle.
+        controller: the controller.
+        road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
     """
     if not vehicle.parts.nonlinear:
@@ -264,7 +283,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 
 
 def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float) -> Equivalent:
-    """Adds the remainders of the curves of a vehicle, if their iteration converges."""
+    """Returns the linear equivalent with the remainders of its curves, if their iteration converges."""
     poles = np.linalg.eigvals(loop_of(line.vehicle, controller).closed_loop.A)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
 
@@ -281,7 +300,7 @@ def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum
 
 
 def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
-    """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
+    """Returns sentences about the expected values of a vehicle with nonlinear springs or dampers; empty for a linear vehicle."""
     if not line.rounds:
         return []
     whole, usual = record(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.parts.with_curve}
@@ -294,7 +313,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     rest, accuracy = line.remainder, "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. "
     if rest is not None and rest.sharp:
         accuracy = (
-            f"Beyond the lines is {percent(rest.share)} of the variance of a force, so accelerations are of the lines alone. "
+            f"The lines do not explain {percent(rest.share)} of the variance of a force, so accelerations use only the lines. "
         )
         friction = "As with friction, rms is exact to 3 %, and dynamic load is up to 8 % too low"
     else:
@@ -308,7 +327,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
 
 
 def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
-    """Returns the slope at rest of a part of a vehicle in the part's own travel [N s/m or N/m]."""
+    """Returns the slope of a part at equilibrium, relative to the travel of the part [N s/m or N/m]."""
     if one.parameter:
         return vehicle.parameters[one.parameter]
     line = next(each.part.line for each in vehicle.elements if each.name == one.element)
@@ -316,7 +335,7 @@ def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
 
 
 def record(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
-    """Returns the equivalent line as a JSON object, in SI units."""
+    """Returns the slopes of the equivalent lines and the mean travel as a JSON object in SI units."""
     bent = {one.name: one for one in vehicle.parts.with_curve if one.curve.is_nonlinear}
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {
@@ -330,7 +349,7 @@ def record(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
 def _deviations(
     vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, signals: Sequence[str]
 ) -> Array | None:
-    """Returns the standard deviations of output signals of a linear vehicle over the road, shape (k,); None if it is unstable."""
+    """Returns the standard deviations of k output signals of a linear vehicle on a road, shape (k,); None if it is unstable."""
     if radius(loop_of(vehicle, controller, timestep)) >= 1:
         return None
     low, high = road.band

@@ -1,8 +1,8 @@
-"""Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of absolute error.
+"""Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of the absolute error.
 
-A height ends at the step's height, and every other signal at zero. With a law for study, which measures heights, the force may
-last, and all but velocities and accelerations may end elsewhere. The error is the distance from the final value. Time begins when
-the first wheel reaches the edge.
+The final value of a height is the height of the step, and that of any other signal is zero. With a law for study that measures
+heights, a force can remain, so all signals except velocities and accelerations can have other final values. The error is the
+distance from the final value. Time starts when the first wheel reaches the step.
 """
 
 import math
@@ -26,25 +26,26 @@ from synth.controller.loop_of import HEIGHT, with_ending
 if TYPE_CHECKING:
     from sim.studies.ride.between_samples import Pieces
 
-BAND = 2.0  # %
-BANDS = (1e-6, 99.0)  # %, smallest and largest
-SILENT = 1e-9  # of the largest signal of its unit: a signal that symmetry keeps at zero
+BAND = 2.0  # %, default half width of the band for the settling time
+BANDS = (1e-6, 99.0)  # %, smallest and largest allowed half width
+SILENT = 1e-9  # peak below which symmetry keeps a signal at zero, relative to the largest signal with the same unit
 SETTLED, NOT_SETTLED, NEVER_OUTSIDE = "settled", "not settled", "never outside"
 
 
 @dataclass(frozen=True)
 class StepMetrics:
-    """Metrics of one signal's response to a step.
+    """Metrics of the step response of one signal.
 
     Attributes:
-        peak: the largest value in the direction of the final value, or the value of largest size if that is zero.
+        peak: largest value in the direction of the final value; if the final value is zero, the value with the largest
+            magnitude.
         peak_time: time of the peak [s].
-        overshoot: excess of the peak over the final value, relative to that; for a signal that returns to zero the largest value
-            of the opposite sign after the peak, over the peak.
-        settling_time: time [s] from which the error stays within the band to the end of the run, or None if it never does.
-        settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error is never beyond it.
-        iae: integral of the absolute error over the run [unit s].
-        itae: integral of time times the absolute error [unit s2].
+        overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero: largest
+            value of the opposite sign after the peak, relative to the peak.
+        settling_time: time from which the error stays within the band until the end of the run [s]; None if it does not.
+        settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error never leaves the band.
+        iae: integral of the absolute error over the run [unit of the signal times s].
+        itae: integral of time multiplied by the absolute error [unit of the signal times s2].
     """
 
     peak: float
@@ -68,15 +69,15 @@ COLUMNS: tuple[Field[StepMetrics], ...] = (
 
 @dataclass(frozen=True)
 class SignalSteps:
-    """Step metrics of one signal by each route.
+    """Step metrics of one signal in MuJoCo and in linear analysis.
 
     Attributes:
-        unit: SI unit.
-        final: value that the signal returns to.
-        half_band: largest error within the band, in the signal's unit.
-        mujoco: metrics of the physics, interpolated between samples; None if the run broke off.
-        sampled: metrics of the exact sampled response, interpolated likewise.
-        continuous: metrics of the continuous linear response, exact between samples; None for adjustable dampers.
+        unit: SI unit of the signal.
+        final: final value of the signal.
+        half_band: half width of the band, in the unit of the signal.
+        mujoco: metrics in MuJoCo, interpolated between samples; None if the run broke off.
+        sampled: metrics of the exact sampled response, interpolated between samples.
+        continuous: metrics of the continuous linear response, exact between samples; None with semi-active dampers.
     """
 
     unit: str
@@ -88,15 +89,20 @@ class SignalSteps:
 
 
 def step_of(road: Road) -> Step | None:
-    """Returns the road if it is a step, without loads; None for others."""
+    """Returns the road if it is a step without loads; otherwise None."""
     return road if isinstance(road, Step) and road.height else None
 
 
 def check_band(road: Road, percent: float, given: bool) -> None:
-    """Checks the band of settling times [%].
+    """Checks the band for settling times.
+
+    Args:
+        road: road of the run.
+        percent: half width of the band [%].
+        given: True if the user gave the band.
 
     Raises:
-        InputError: the band is out of range, or was given for a road other than a step.
+        InputError: the band is out of range, or it is given for a road that is not a step.
     """
     low, high = BANDS
     if not low <= percent <= high:
@@ -106,12 +112,13 @@ def check_band(road: Road, percent: float, given: bool) -> None:
 
 
 def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float) -> StepMetrics:
-    """Returns the metrics of a signal.
+    """Returns the step metrics of a signal.
 
     Args:
-        final: value at the end.
-        height: True if `final` is not zero, as for a height.
-        half_band: largest error within the band.
+        pieces: the signal over the run.
+        final: final value.
+        height: True if the final value is not zero, for example that of a height.
+        half_band: half width of the band, in the unit of the signal.
     """
     error = pieces.less(final)
     if height:
@@ -130,15 +137,15 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
     return StepMetrics(peak, peak_time, overshoot, last if settled == SETTLED else None, settled, iae, itae)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
+@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow
 def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Pieces] | None" = None) -> dict[str, SignalSteps]:
-    """Returns the metrics of every output signal that a step of the road moves.
+    """Returns the step metrics of all output signals that move, by name.
 
     Args:
         run: run over a `Step`.
-        percent: half the width of the band: of the final value, or, if that is zero, of the peak in the continuous response
-            (without one, in the sampled response).
-        continuous: signals of the continuous response between samples, if they are known.
+        percent: half width of the band [%], relative to the final value. If the final value is zero, the width is relative to
+            the peak of the continuous response, or of the sampled response without a continuous one.
+        continuous: signals of the continuous response, exact between samples, if they are known.
 
     Raises:
         InputError: the road is not a step, or the band is out of range.
@@ -152,7 +159,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     peaks = np.array([run.sampled.peak(name) for name in model.outputs])
     loudest = loudest_alike(peaks, list(units.values()))
     names = tuple(name for name, silent in zip(model.outputs, peaks <= SILENT * loudest, strict=True) if not silent)
-    from sim.studies.ride.between_samples import exact, interpolated_signals  # no other road needs it
+    from sim.studies.ride.between_samples import exact, interpolated_signals  # imported here because only steps need it
 
     routes = {
         "sampled": interpolated_signals(run, run.sampled, names),
@@ -161,7 +168,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     if run.broke_off is None:
         routes["mujoco"] = interpolated_signals(run, run.physics, names)
     edges = run.prediction.input.vertical_edges()
-    metrics, start = {}, float(run.prediction.time[min(edges)]) if edges else step.start  # MuJoCo's road jumps at a sample
+    metrics, start = {}, float(run.prediction.time[min(edges)]) if edges else step.start  # in MuJoCo, the road jumps at a sample
     for name in names:
         known = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
         pieces = {route: one.counted_from(step.start if route == "continuous" else start) for route, one in known.items()}
@@ -179,9 +186,9 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 
 
 def _lasting_outputs(run: Run) -> Array:
-    """Returns what a metre of road under all wheels leaves of every output signal for good, shape (p,).
+    """Returns the final values of all output signals after a step of 1 m under all wheels, shape (p,).
 
-    An unstable loop counts as one without a law for study.
+    For an unstable loop, these are the values without a control force.
     """
     model, loop = run.vehicle.linear_model, run.prediction.loop
     usual = model.Cr.sum(axis=1)
@@ -199,13 +206,22 @@ RECORD = Record[SignalSteps](
     "final",
     "half_band",
     mujoco=ROUTE.all("mujoco"),
-    linear=ROUTE.all("sampled"),  # as everywhere in files
+    linear=ROUTE.all("sampled"),  # the key in files is "linear"
     continuous=ROUTE.all("continuous"),
 )
 
 
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
-    """Returns the step metrics of runs: MuJoCo's of the first height, or of travel without one, and in full of all signals."""
+    """Returns the printed document about step responses.
+
+    The first table compares the runs by one signal in MuJoCo: a height, or the suspension travel if no height is available.
+    `-v` adds a table of all signals for each run.
+
+    Args:
+        runs: the runs.
+        measured: step metrics of each run, by name of the signal.
+        percent: half width of the band [%].
+    """
     heights = runs[0].vehicle.linear_model.heights
     common = [name for name in measured[0] if all(name in each for each in measured)] or [*measured[0]]
     one = next((name for name in common if measured[0][name].final and name in heights), common[0])
@@ -233,6 +249,6 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
 
 
 def _columns(*names: str) -> list[Field[Any]]:
-    """Returns the columns of a table whose rows are some words and step metrics, or None."""
+    """Returns the columns of a table whose rows contain texts, one for each of `names`, followed by step metrics or None."""
     words = [Field[Any](name, lambda row, i=i: row[i]) for i, name in enumerate(names)]
     return [*words, *(replace(one, value=lambda row, one=one: row[-1] and one.value(row[-1])) for one in COLUMNS)]

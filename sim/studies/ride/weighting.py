@@ -1,11 +1,12 @@
-"""The frequency weighting W_k of ISO 2631-1, analog and sampled, and its recursive filters.
+"""The frequency weighting W_k of ISO 2631-1, continuous and sampled, and its recursive filters.
 
-H(s) and its constants are those of `models/vehicle/filter.py`, which designs use as a weight, too.
+The constants of the transfer function H(s) are in `models/laws/filter.py`. Designs can use the same weighting.
 
-The sampled filter is H with a first-order hold, exactly: one recursion of second order for each pair of poles, in parallel. The
-hold attenuates high frequencies by d / (omega h)^2 with d = 2 - 2 cos(omega h). A filter of seven taps, 1 + d/12 + d^2/90 +
-d^3/560, the series of arcsine squared, compensates for this up to (omega h)^8 / 3150. The error at 80 Hz is 3e-6 at 1 ms and 1e-4
-at 2 ms. At 5 ms it is 5 % at 100 Hz, the Nyquist frequency, and 0.3 % at 40 Hz.
+The sampled filter is exactly H with a first-order hold. It consists of parallel recursions of second order, one for each pair
+of poles. The hold attenuates high frequencies by the factor d / (omega h)^2 with d = 2 - 2 cos(omega h) and the timestep h. A
+filter with seven taps compensates this attenuation: 1 + d/12 + d^2/90 + d^3/560, from the series of the squared arcsine. The
+remaining relative error is (omega h)^8 / 3150. At 80 Hz, it is 3e-6 for a timestep of 1 ms and 1e-4 for 2 ms. For 5 ms, it is
+0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,18 +18,21 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
-FEW, MANY = 4, 64  # signals, up to which plain numbers are faster than arrays, and these than scipy, which takes half a second
-ORDER = 2
+FEW, MANY = 4, 64  # up to FEW signals, Python numbers are fastest; up to MANY, NumPy arrays; SciPy takes half a second to import
+ORDER = 2  # order of the denominators
 
 
 def filter_signals(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
-    """Returns signals through F filters, shape (F, N, T), and their states after them, bit for bit as `scipy.signal.lfilter`.
+    """Filters N signals with F filters. The results equal those of `scipy.signal.lfilter` bit for bit.
 
     Args:
         b: numerators by powers of 1/z, shape (F, K).
-        a: denominators, which begin with 1, of second order at most and no longer than the numerators.
-        signals: shape (N, T).
-        memory: filter states before them, shape (F, N, K - 1).
+        a: denominators by powers of 1/z, of at most second order and not longer than the numerators; each begins with 1.
+        signals: signals, shape (N, T).
+        memory: filter states before the first sample, shape (F, N, K - 1).
+
+    Returns:
+        Filtered signals, shape (F, N, T), and filter states after the last sample, shape (F, N, K - 1).
     """
     if len(signals) > MANY:
         from scipy.signal import lfilter
@@ -48,9 +52,16 @@ def filter_signals(b: Array, a: Array, signals: Array, memory: Array) -> tuple[A
 
 
 def _recursion(b: Array, a: Array, signal: Array, memory: Array, numbers: Callable[[Array], list[Any]]) -> tuple[Array, Array]:
-    """Returns filtered signals and the states, along the first axes: a transposed direct form that adds in the same order.
+    """Returns the filtered signal and the states after its last sample; time and states are the first axes.
 
-    After the first samples, which depend on the states, the taps beyond the order are sums of shifted signals.
+    The recursion is a transposed direct form that adds in the same order as SciPy. The first samples depend on the given
+    states. For later samples, the taps of the numerator beyond the order of the denominator are sums of shifted signals.
+
+    Args:
+        b, a: numerator and denominator by powers of 1/z.
+        signal: samples of the signal.
+        memory: states before the first sample.
+        numbers: function that converts an array to a list of values per sample.
     """
     reach = max(len(b) - 1, ORDER)
     taps, poles, state = (numbers(_pad_values(*each)) for each in ((b, reach + 1), (a, reach + 1), (memory, reach)))
@@ -75,7 +86,7 @@ def _pad_values(values: Array, length: int) -> Array:
 
 
 def _step(value: Any, known: Any, state: list[Any], b: Sequence[Any], a: Sequence[Any]) -> Any:
-    """Updates the states in place by one sample; returns the output, computed unless it is known."""
+    """Updates the filter states in place by one sample; returns the output, which is computed only if `known` is None."""
     out = state[0] + b[0] * value if known is None else known
     for i in range(len(state) - 1):
         state[i] = state[i + 1] + value * b[i + 1] - out * a[i + 1]
@@ -83,8 +94,8 @@ def _step(value: Any, known: Any, state: list[Any], b: Sequence[Any], a: Sequenc
     return out
 
 
-DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # 2 - 2 cos(omega h), one sample late
-LATE = 3  # samples by which the sampled filter is late
+DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # filter with the response 2 - 2 cos(omega h), delayed by one sample
+LATE = 3  # delay of the sampled filter in samples
 RESTORE = np.zeros(2 * LATE + 1)
 for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):
     taps = np.array([1.0])
@@ -95,13 +106,13 @@ POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality o
 
 
 def wk(omega: Array) -> Array:
-    """Returns W_k at positive frequencies [rad/s], complex, shape like omega."""
+    """Returns the complex response of W_k at positive frequencies [rad/s], with the shape of `omega`."""
     s = 1j * np.asarray(omega, dtype=float)
     return _zeros(s) / np.prod([_pair(s, f, q) for f, q in POLES], axis=0)
 
 
 def _zeros(s: Array) -> Array:
-    """Returns the numerator of H(s): two zeros at 0, one at -w3, a pair at w5."""
+    """Returns the numerator of H(s), which has two zeros at 0, one at -w3, and a complex pair with frequency w5."""
     w2, w3, w4, w5, w6 = (2 * np.pi * f for f in (F2, F3, F4, F5, F6))
     return s**2 * (1 + s / w3) * (1 + s / (Q5 * w5) + (s / w5) ** 2) * (w5 / w6) ** 2 * (w2 * w4 * w6) ** 2
 
@@ -114,18 +125,18 @@ def _pair(s: Array, f: float, q: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledWk:
-    """W_k for sampled signals: four parallel filters whose outputs are summed, with a delay of three samples.
+    """W_k for sampled signals: the sum of four parallel filters, with a delay of three samples.
 
     Attributes:
-        numerators: shape (4, 9), by powers of 1/z.
-        denominators: shape (4, 3).
+        numerators: numerators by powers of 1/z, shape (4, 9).
+        denominators: denominators by powers of 1/z, shape (4, 3).
     """
 
     numerators: Array
     denominators: Array
 
     def response(self, omega: Array, timestep: float) -> Array:
-        """Returns the filter's frequency response, complex, shape like omega [rad/s]."""
+        """Returns the complex frequency response of the filter, with the shape of `omega` [rad/s]."""
         z = np.exp(-1j * np.asarray(omega) * timestep)
         return sum(
             (np.polyval(b[::-1], z) / np.polyval(a[::-1], z) for b, a in zip(self.numerators, self.denominators, strict=True)),
@@ -134,14 +145,14 @@ class SampledWk:
 
 
 def sampled_wk(timestep: float) -> SampledWk:
-    """Returns W_k for samples a timestep [s] apart."""
+    """Returns W_k for signals with a sample period of `timestep` [s]."""
     numerators, denominators = [], []
     for f, q in POLES:
         w = 2 * np.pi * f
         pole = w * (-1 / (2 * q) + 1j * np.sqrt(1 - 1 / (4 * q**2)))
         others = np.prod([_pair(pole, *other) for other in POLES if other != (f, q)])
         residue = _zeros(pole) / others / (pole - np.conj(pole))
-        # q' = pole q + u on straight lines: q[k+1] = e q[k] + a u[k] + b u[k+1].
+        # The exact solution of q' = pole q + u for piecewise linear u is q[k+1] = e q[k] + a u[k] + b u[k+1].
         e, x = np.exp(pole * timestep), pole * timestep
         b = (e - 1 - x) / (pole * x)
         a = (e - 1) / pole - b

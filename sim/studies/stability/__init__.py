@@ -1,3 +1,7 @@
-"""Stability margins of a loop: predicted, then confirmed in MuJoCo on both sides."""
+"""Stability margins of a loop, predicted by linear analysis and found in MuJoCo.
 
-TIMESTEP = 5e-4  # s, of its runs, unless another is asked for
+Start with `margin_search`, which contains `find_margins`. `edge` searches in MuJoCo for the smallest gain factor, delay or
+sample period that makes a loop unstable.
+"""
+
+TIMESTEP = 5e-4  # s, default timestep of the runs

@@ -1,4 +1,4 @@
-"""The study of margins: the gain, phase, delay and sample period that a loop tolerates, predicted and found in MuJoCo."""
+"""The study of margins for gain, phase, delay and sample period, predicted by linear analysis and found in MuJoCo."""
 
 import math
 from argparse import Namespace
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from sim.studies.subject import Subject
     from synth.controller.controller import Controller
 
-RECORDED_TIME = 4.0  # s, of a recorded run
+RECORDED_TIME = 4.0  # s, duration of a recorded run
 
 
 class MarginsStudy(Study["list[StabilityMargins]"]):
-    """Margins of stability of a controller, or on a page of several."""
+    """Study of the stability margins of one controller (command) or of all active controllers (report)."""
 
     description = "Find the margins of a control loop for gain, phase, delay and sample period."
     epilog = """
@@ -97,7 +97,10 @@ examples:
         return _without_computer(given)
 
     def runs(self, request: StudyRequest, result: "list[StabilityMargins]") -> "dict[str, Run]":
-        """Returns the run that still decays and the one that grows; without a delay margin, the longest delay tried."""
+        """Returns runs with the longest stable delay and with the shortest unstable delay.
+
+        If no delay is unstable, the only run has the longest delay of the search.
+        """
         from models.vehicle.limits_and_implementation import Implementation
         from sim.runs.run import run_controllers, sample_times
         from sim.studies.stability.margin_search import BUMP
@@ -128,10 +131,16 @@ def _without_computer(vehicle: "Vehicle") -> "Vehicle":
 
 
 def check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", timestep: float) -> None:
-    """Checks that a loop has margins: the ideal one, and the one as implemented.
+    """Checks that the ideal and the implemented loop have margins.
+
+    Args:
+        vehicle: vehicle without sample period, delay and noise.
+        built: vehicle with its implementation.
+        controller: the controller.
+        timestep: timestep of the simulation [s].
 
     Raises:
-        InputError: a loop is unstable, or the controller has no gain.
+        InputError: a loop is unstable, or the controller requests no force.
     """
     from sim.linear.sampled_response import taylor4
     from synth.controller.loop_of import loop_of, radius

@@ -1,9 +1,10 @@
-"""Slowest mode of a loop whose forces are delayed by many samples, without the eigenvalues of all pending forces.
+"""Slowest mode of a loop whose forces are delayed by many samples, without computing the eigenvalues of all pending forces.
 
-Over one delay of d samples the state and the d pending forces become the later state and the forces computed meanwhile. That map
-is the d-th power of the map from sample to sample, whose eigenvalues are so close in size that the largest is found only with all
-the others. The eigenvalues of the power are apart: decaying motion is all but gone after a delay, so that a few dozen
-applications of it suffice (Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
+The state of such a loop contains d pending forces for a delay of d samples. The eigenvalues of the map from one sample to the
+next have almost equal magnitudes, so an iteration cannot separate the largest from the others. This module uses the d-th power
+of the map, from one state to that after a whole delay. Its eigenvalues are well separated, because decaying modes have nearly
+vanished after one delay. A few dozen applications of this power therefore suffice (Arnoldi's method; Lehoucq, Sorensen, Yang
+1998, ARPACK Users' Guide).
 """
 
 import numpy as np
@@ -12,18 +13,29 @@ from scipy.sparse.linalg import LinearOperator, eigs
 from models.common.arrays import Array
 from synth.plant.state_space import StateSpace
 
-FEW = 60  # states and pending forces; of so few all eigenvalues are quicker
-LARGEST = 4  # eigenvalues that are requested: two pairs, should two loops of a symmetric vehicle be alike
+FEW = 60  # number of states and pending forces up to which it is faster to compute all eigenvalues
+LARGEST = 4  # number of computed eigenvalues: two pairs, because two loops of a symmetric vehicle can be equal
 
 
 def slowest_from_sample_to_sample(cut: StateSpace, delay: int) -> complex:
-    """Returns the delay-th power of the largest eigenvalue z of x[k+1] = A x[k] + B C x[k-delay], and z without delay."""
+    """Returns z^d, where z is the largest eigenvalue of x[k+1] = A x[k] + B C x[k-d]; z itself if d = 0.
+
+    Args:
+        cut: loop that is cut at its forces, with matrices A, B and C.
+        delay: delay d in samples.
+    """
     return _slowest_over_delay(cut, delay) if delay else _largest(np.linalg.eigvals(cut.loop_matrix(1.0)))
 
 
 def mode(cut: StateSpace, delay: int, over_delay: complex) -> tuple[complex, Array]:
-    """Returns that eigenvalue z from its power, and its vector x, shape (n,)."""
-    # Over a delay it has turned by any number of whole turns; one of them solves the equation.
+    """Returns the eigenvalue z with z^d = `over_delay`, and its eigenvector x, shape (n,).
+
+    Args:
+        cut: loop that is cut at its forces.
+        delay: delay d in samples.
+        over_delay: result of `slowest_from_sample_to_sample`.
+    """
+    # The d-th root is not unique. Only one of the d roots solves the eigenvalue equation.
     tried = over_delay ** (1 / max(delay, 1)) * np.exp(2j * np.pi * np.arange(max(delay, 1)) / max(delay, 1))
     late = cut.loop_matrix(1 / over_delay if delay else 1.0)
     sizes = np.abs(np.linalg.eigvals(late) - tried[:, None]).min(axis=1)
@@ -32,17 +44,17 @@ def mode(cut: StateSpace, delay: int, over_delay: complex) -> tuple[complex, Arr
 
 
 def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
-    """Returns the largest eigenvalue of the delay-th power of the map from sample to sample."""
+    """Returns the largest eigenvalue of the map from one state to the state after a whole delay."""
     Phi, Gamma, G, (n, m) = cut.A, cut.B, cut.C, cut.B.shape
     size = n + delay * m
     moved = np.empty((delay + 1, n, n))  # powers of Phi
     moved[0] = np.eye(n)
     for k in range(delay):
         moved[k + 1] = moved[k] @ Phi
-    seen = G @ moved[:-1]  # the force that a state of k samples ago requests, shape (delay, m, n)
-    pushed = moved[-2::-1] @ Gamma  # the last state, of the force that acts in step k, shape (delay, n, m)
-    length = 2 ** (2 * delay - 1).bit_length()  # nothing runs round
-    # The force that is requested, of the one that acted k samples ago.
+    seen = G @ moved[:-1]  # requested force per state k samples earlier, shape (delay, m, n)
+    pushed = moved[-2::-1] @ Gamma  # state at the end per force in step k, shape (delay, n, m)
+    length = 2 ** (2 * delay - 1).bit_length()  # long enough that the convolution does not wrap around
+    # Requested force per force that acted k samples earlier.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
 
     def after(state: Array) -> Array:

@@ -1,8 +1,8 @@
-"""The smallest amount of something that makes a loop unstable in MuJoCo, and runs on both sides of it.
+"""Search for a stability limit in MuJoCo: the smallest gain factor, delay or sample period (the *amount*) that is unstable.
 
-The derivative of MuJoCo's step decides whether a loop grows (`simulated_loop.py`). Two runs confirm an edge, one that decays and
-one that grows. Each starts in the slowest mode of its loop, so that its growth is seen at once, and takes as long as the rate of
-that mode needs.
+The derivative of MuJoCo's step decides whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit: one
+decays, one grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible immediately. The duration
+of a run depends on the rate of this mode.
 """
 
 import math
@@ -21,32 +21,33 @@ from sim.drive.drive import drive
 from sim.studies.stability.simulated_loop import LoopCase, SimulatedLoop, simulated_loop
 from synth.plant.state_space import StateSpace
 
-WIDTH = 2e-3  # relative; of the bracket of a real number
-AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # times what is expected
-CHANGE = 0.1  # of the size of a mode over its run, where it moves as much in time
-SHORTEST, LONGEST, SLOW = 0.05, 0.15, 4.0  # s; of a run, unless its delay is longer, and of a slow mode
-CLEAR = 1e-5  # change of a mode over its run that is told from geometry and rounding
-SLOWEST = 8.0  # s; longer delays and sample periods are not run
+WIDTH = 2e-3  # relative width of the interval between stable and unstable amounts at which a search ends
+AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # amounts to try, relative to the expected limit
+CHANGE = 0.1  # relative change of a mode after which a run may end
+# Shortest run, longest run, and longest run of a slow mode [s]. A run is longer if its delay requires it.
+SHORTEST, LONGEST, SLOW = 0.05, 0.15, 4.0
+CLEAR = 1e-5  # smallest relative change of a mode over its run that is not due to geometry or rounding
+SLOWEST = 8.0  # s; MuJoCo does not simulate longer delays and sample periods
 
 
 def no_progress(message: str) -> None:
-    """Ignores progress."""
+    """Ignores a message about progress."""
 
 
 @dataclass(eq=False)
 class StabilityEdge:
-    """Search for the smallest amount of something that makes a loop unstable.
+    """Search for the smallest gain factor, delay or sample period (the amount) that makes a loop unstable.
 
     Attributes:
         step: derivative of MuJoCo's step.
-        trial: amount -> the loop with it.
-        expected: amount to start from; infinite if no amount is expected to matter.
-        most: largest amount to try then.
-        multiple: amounts are its multiples; 0 where they are real numbers.
-        stable: largest amount below `unstable` that is known to decay. Zero is taken to decay.
-        unstable: smallest amount that grows; infinite if none does.
-        searched: True once it has been searched.
-        runs: rates of the runs on both sides by their amounts [1/s]; NaN if a run is too short to tell its rate.
+        trial: function that returns the loop with an amount.
+        expected: predicted limit, where the search starts; infinite if every amount is predicted to be stable.
+        most: largest amount to try if `expected` is infinite.
+        multiple: step of the amounts, which are its integer multiples; 0 if amounts are real numbers.
+        stable: largest stable amount below `unstable`. An amount of zero is assumed to be stable.
+        unstable: smallest unstable amount; infinite if all tried amounts are stable.
+        searched: True after the search.
+        runs: growth rates of the runs on both sides of the limit [1/s], by amount; NaN if a run is too short to show its rate.
     """
 
     step: StateSpace
@@ -62,33 +63,33 @@ class StabilityEdge:
 
     @property
     def timestep(self) -> float:
-        """Timestep of the physics [s]."""
+        """Timestep of the simulation [s]."""
         assert self.step.dt is not None
         return self.step.dt
 
     @property
     def decided(self) -> bool:
-        """Returns False if a run on one side does not tell its rate."""
+        """False if a run is too short to show its growth rate."""
         return not any(map(math.isnan, self.runs.values()))
 
     @property
     def confirmed(self) -> bool:
-        """Returns False if a run decays where the derivative grows, or grows where it decays."""
+        """False if a run contradicts the derivative of MuJoCo's step: one of them grows, and the other decays."""
         return not any(not math.isnan(rate) and (rate > 0) != (amount == self.unstable) for amount, rate in self.runs.items())
 
     @property
     def found(self) -> float:
-        """Returns the middle of the two, for a real number; NaN if no run decides it."""
+        """Stability limit for real amounts: geometric mean of `stable` and `unstable`; NaN if the runs are not decisive."""
         return math.nan if not self.decided else math.sqrt(self.stable * self.unstable)
 
     def loop(self, amount: float) -> SimulatedLoop:
-        """Returns the loop in MuJoCo with an amount."""
+        """Returns the MuJoCo loop with an amount."""
         if amount not in self._loops:
             self._loops[amount] = simulated_loop(self.step, self.trial(amount))
         return self._loops[amount]
 
     def search(self) -> None:
-        """Searches by the derivative."""
+        """Searches for the limit with the derivative of MuJoCo's step, without runs."""
 
         def grows(amount: float) -> bool:
             return self.loop(amount).grows
@@ -98,9 +99,13 @@ class StabilityEdge:
 
 
 def smallest_unstable(grows: Callable[[float], bool], expected: float, most: float, multiple: float = 0.0) -> tuple[float, float]:
-    """Returns the largest amount that decays and the smallest that grows, next to each other; arguments as in `StabilityEdge`.
+    """Returns the two ends of the interval that contains the stability limit: a stable amount and an unstable one.
 
-    The search looks at both sides of the expected amount first, and else begins at the smallest amount.
+    The search first tries both sides of the expected limit. If this fails, the search begins at the smallest amount.
+
+    Args:
+        grows: function that returns True if an amount is unstable.
+        expected, most, multiple: see `StabilityEdge`.
     """
 
     def multiples(amounts: Sequence[float]) -> list[float]:
@@ -129,7 +134,14 @@ def smallest_unstable(grows: Callable[[float], bool], expected: float, most: flo
 
 
 def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], None] = no_progress) -> None:
-    """Searches for edges of one timestep, and runs both sides of each, all in one batch, if `Growth` is among the observers."""
+    """Searches for stability limits, and simulates runs on both sides of each limit in one batch.
+
+    The runs are omitted if the observer `growth` is not installed.
+
+    Args:
+        edges: searches with the same timestep.
+        progress: callback that receives a line about the progress.
+    """
     for number, edge in enumerate(edges):
         progress(f"{len(edges) - number} margins to go")
         edge.search()
@@ -143,7 +155,10 @@ def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], Non
 
 
 def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) -> list[float]:
-    """Returns the rate of each run of MuJoCo that starts in the slowest mode of its loop [1/s]; NaN if it moves too little."""
+    """Simulates runs that start in the slowest mode of their loop; returns their growth rates [1/s].
+
+    A rate is NaN if the mode changes too little during its run.
+    """
     if not trials:
         return []
     vehicles, timestep = [_without_rate_limit(trial.vehicle) for trial in trials], loops[0].loop.step or 0.0
@@ -163,20 +178,27 @@ def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) ->
 
 
 def _without_rate_limit(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle without its rate limit, so that a mode is that of the linear loop; itself if it has no such limit."""
+    """Returns the vehicle without a limit on the rate of its forces, so that the motion stays linear."""
     limits = vehicle.limits
     return vehicle if limits.force_rate is None else replace(vehicle, limits=replace(limits, force_rate=None))
 
 
 def _duration(loop: SimulatedLoop) -> float:
-    """Returns how long a run takes [s]: until its mode has changed, or all pending forces have acted."""
+    """Returns the duration of a run [s]: the mode must change clearly, and all pending forces must act."""
     rate = max(abs(loop.rate), CLEAR / SLOW)
     needed = min(max(CHANGE / rate, SHORTEST), max(LONGEST, min(20 * CLEAR / rate, SLOW)))
     return max(math.ceil(needed / loop.loop.period), loop.delay + 2) * loop.loop.period
 
 
 def _rate(state: Array, start: Array, loop: SimulatedLoop, duration: float) -> float:
-    """Returns the rate of a mode between two states of a run [1/s]; NaN if it moves too little."""
+    """Returns the growth rate of a mode between two states of a run [1/s]; NaN if the mode changes too little.
+
+    Args:
+        state: state at the end of the run, shape (n,).
+        start: state at the start of the run.
+        loop: loop of the run.
+        duration: duration of the run [s].
+    """
     mode = loop.slowest[1][: len(state)]
     basis = np.stack([np.real(mode), -np.imag(mode)], axis=1)
     if not np.all(np.isfinite(state)):

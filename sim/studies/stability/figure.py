@@ -1,4 +1,4 @@
-"""Margins drawn: growth or decay with more gain, delay and sample period."""
+"""Figure of stability margins: growth rate of the slowest mode over gain factor, delay and sample period."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from sim.studies.stability.simulated_loop import LoopCase
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.loop_of import loop_of, radius
 
-POINTS, MEASURED = 40, 7  # of a predicted curve, and by MuJoCo's step
+POINTS, MEASURED = 40, 7  # number of points of a predicted curve, and number of points from MuJoCo
 LINE = "#404040"
 SIZE = Field[float]("margin", float, ".5g")
 TIME = Field[float]("time", float, SIZE.form, 1e3, unit="ms")
@@ -29,9 +29,10 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 
 
 def margins_figure(found: StabilityMargins) -> Figure:
-    """Draws the growth rate of the slowest mode: lines by the poles of the sampled linear loop, points by MuJoCo's own step.
+    """Returns a figure of the growth rate of the slowest mode.
 
-    The margin is the common zero of both.
+    Lines follow from the poles of the sampled linear loop, and points from the derivative of MuJoCo's step. The margin is where
+    the growth rate is zero.
     """
     controller, vehicle, loop, built = found.controller, found.vehicle, found.loops[""], found.implemented_loops.get("")
     timestep = loop.timestep
@@ -71,7 +72,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
 
 
 def _both(field: Field[float], predicted: float, found: float) -> str:
-    """Describes a margin, predicted and found."""
+    """Returns a text with the predicted margin and the margin found in MuJoCo."""
     first, second = (
         "not found" if math.isnan(one) else "any" if math.isinf(one) else field.text(one) for one in (predicted, found)
     )
@@ -79,8 +80,18 @@ def _both(field: Field[float], predicted: float, found: float) -> str:
 
 
 def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[LoopCase], float], scale: float) -> Panel:
-    """The predicted rate over the amount, and that of MuJoCo's step at a few amounts and where it changes its sign."""
-    # Far from the margin nothing is to be seen, and the rates are large.
+    """Returns a panel of the growth rate over the amount, as a predicted line and as points from MuJoCo.
+
+    The points include the two amounts between which MuJoCo's growth rate changes its sign.
+
+    Args:
+        title: title of the panel.
+        label: label of the axis of the amount.
+        search: finished search.
+        rate: function that returns the predicted growth rate of a loop [1/s].
+        scale: factor from SI units to the unit of the label.
+    """
+    # The panel ends soon after the margin, because growth rates further away are large and of no interest.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable
     known = [amount for amount in (search.stable, search.unstable) if 0 < amount < math.inf]
     amounts, points = (_multiples([*np.linspace(0.0, end, count), *known], search.multiple) for count in (POINTS, MEASURED))
@@ -96,6 +107,6 @@ def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[
 
 
 def _multiples(amounts: Sequence[float], multiple: float) -> Array:
-    """Returns amounts as multiples of one, from the first on; unchanged for real numbers."""
+    """Returns amounts rounded to positive multiples of `multiple`, without duplicates; unchanged if `multiple` is 0."""
     given = np.array(amounts)
     return np.unique(np.maximum(np.round(given / multiple), 1) * multiple if multiple else given)

@@ -1,4 +1,7 @@
-"""The margins of a loop, predicted from its transfer function and found in MuJoCo (`edge.py`)."""
+"""Stability margins of a loop, predicted from its transfer function and found in MuJoCo.
+
+Start with `find_margins`. `edge.py` contains the search in MuJoCo.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -23,28 +26,28 @@ from synth.controller.sample_period_margin import sampled_growth_at, sampled_par
 from synth.controller.stability_margins import LARGEST_FACTOR, Margins, gain_crossings, margins
 from synth.plant.state_space import StateSpace
 
-BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # of recorded runs: soon over, lifts no wheel
-LONGEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
-AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
-ENDS = 1.5e-3  # relative, of a gain found, so that twice the one minus another is known to 0.3 %
-HALVINGS = 9  # of the timestep; runs at finer steps take minutes
-WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
+BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # road of recorded runs: short, and too low to lift a wheel
+LONGEST = 2.0  # s; longest delay and sample period to try if linear analysis predicts no limit
+AGREES = 5e-3  # allowed relative difference of a gain margin; a search has an error of 0.2 %, an extrapolation of 0.3 %
+ENDS = 1.5e-3  # relative error of a gain margin found by a search, from which the error of an extrapolation follows
+HALVINGS = 9  # largest number of halvings of the timestep; runs at smaller steps take minutes
+WITHOUT_END = 1.5  # factor of a margin per halving of the step, above which the margin tends to infinity as the step shrinks
 
 
 @dataclass(frozen=True, eq=False)
 class GainMargin:
-    """Gain margin of a loop, upwards or downwards, predicted and found; infinite if any factor is stable.
+    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if every factor is stable.
 
-    Physics holds the force over a step, and so runs the sampled loop, whose margin tends to the loop's own with the first power
-    of the timestep, once the step is small enough. If the margin found at one step is not the loop's own, two steps, the second
-    half of the first, allow to extrapolate. `at_prediction` chooses them.
+    MuJoCo holds the force over a timestep, so it simulates a sampled loop. For small steps, the margin of the sampled loop
+    approaches that of the continuous loop with an error proportional to the timestep. If the margins at the given timestep
+    differ, MuJoCo's margins at two smaller steps, h and h/2, are extrapolated to a step of 0. `at_prediction` chooses h.
 
     Attributes:
-        own: margin predicted for the loop itself, without sampling.
-        sampled: margins predicted for the sampled loop, as RK4 integrates it, at the timesteps of the searches.
-        search: search for the margin at the timestep.
-        finer: search at half of the timestep, or at a smaller step; not run if it is not needed.
-        coarser: search at twice the step of `finer`; None if that is `search`.
+        own: predicted margin of the continuous loop.
+        sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
+        search: search for the margin at the given timestep.
+        finer: search at half the timestep, or at a smaller step. It runs only if it is needed.
+        coarser: search at twice the step of `finer`; None if this is `search`.
     """
 
     own: float
@@ -63,13 +66,15 @@ class GainMargin:
         trial: Callable[[float], LoopCase],
         most: float,
     ) -> "GainMargin":
-        """Returns a margin with its searches, not yet run, at the timestep and at finer ones that show the loop's own.
+        """Prepares the searches for a margin at the given timestep and at smaller steps, without running them.
+
+        The smaller steps are chosen such that the margins at the last two extrapolate to the margin of the continuous loop.
 
         Args:
-            own: margin predicted for the loop itself.
-            sampled: timestep -> margin predicted for the sampled loop.
-            timestep: timestep of the physics [s].
-            derivative: timestep -> derivative of MuJoCo's step.
+            own: predicted margin of the continuous loop.
+            sampled: function that returns the predicted margin of the sampled loop for a timestep [s].
+            timestep: timestep of the simulation [s].
+            derivative: function that returns the derivative of MuJoCo's step for a timestep [s].
             trial, most: see `StabilityEdge`.
         """
         steps = [timestep, timestep / 2]
@@ -83,34 +88,47 @@ class GainMargin:
 
     @property
     def searches(self) -> tuple[StabilityEdge, ...]:
-        """The searches by decreasing timestep."""
+        """All searches in order of decreasing timestep."""
         return (self.search, self.finer) if self.coarser is None else (self.search, self.coarser, self.finer)
 
     @property
     def tried(self) -> list[tuple[float, StabilityEdge]]:
-        """Returns the searches that were run, each with the margin predicted for the sampled loop at its timestep."""
+        """Finished searches, each with the predicted margin of the sampled loop at its timestep."""
         return [(at, one) for at, one in zip(self.sampled, self.searches, strict=True) if one.searched]
 
     @staticmethod
     def limit(coarse: float, fine: float) -> float:
-        """Returns the margin at timestep zero from those at a step and at half of it; infinite if it grows without end."""
+        """Returns the extrapolation of a margin to a timestep of 0; infinite if the margin grows without limit.
+
+        Args:
+            coarse: margin at a timestep.
+            fine: margin at half this timestep.
+        """
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
 
     @staticmethod
     def shown_by(own: float, coarse: float, fine: float) -> bool:
-        """Returns True if margins of the sampled loop at a step and at half of it allow to extrapolate to the loop's own."""
+        """Returns True if the margins of the sampled loop at two steps extrapolate to the margin of the continuous loop.
+
+        Args:
+            own: margin of the continuous loop.
+            coarse: margin at a timestep.
+            fine: margin at half this timestep.
+        """
         within = max(abs(fine - coarse) / 2, AGREES * own)
         return all(_close(own, GainMargin.limit(coarse, share * fine), within) for share in (1 - ENDS, 1 + ENDS))
 
     @property
     def doubtful(self) -> bool:
-        """Returns True if the margin found at the timestep is not the loop's own."""
+        """True if the margin found at the given timestep differs from the predicted margin of the continuous loop."""
         return not _close(self.own, self.search.found, AGREES * self.own)
 
     @property
     def found(self) -> float:
-        """Returns the margin extrapolated to timestep zero; infinite if it grows as the step shrinks, and so is the sampling's
-        alone; NaN if it still grows at the smallest step, towards a larger one of the loop's own.
+        """Margin found in MuJoCo, extrapolated to a timestep of 0 if finer searches ran.
+
+        The margin is infinite if it grows without limit as the timestep shrinks, because only sampling then limits the gain.
+        The margin is NaN if it still grows at the smallest timestep, although the continuous loop has a larger finite margin.
         """
         if not self.finer.searched:
             return self.search.found
@@ -120,14 +138,14 @@ class GainMargin:
 
     @property
     def extrapolated(self) -> bool:
-        """Returns True if the margin found is the limit of two runs' margins."""
+        """True if the margin found is an extrapolation from two timesteps."""
         return self.finer.searched and math.isfinite(self.found)
 
     @property
     def agrees(self) -> bool:
-        """Returns True if physics has the predicted margins, at each step that it ran with and extrapolated.
+        """True if MuJoCo has the predicted margin of the sampled loop at each timestep, and that of the continuous loop.
 
-        The extrapolation is off by a second power of the step: by less than half of the change by halving.
+        The error of an extrapolation is of second order in the timestep: less than half of the change between the two steps.
         """
         here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         coarse, fine = (one.found for one in self.searches[-2:])
@@ -137,17 +155,18 @@ class GainMargin:
 
 @dataclass(frozen=True, eq=False)
 class LoopMargins:
-    """The margins of one loop, predicted and found.
+    """Stability margins of one loop, predicted and found in MuJoCo.
 
     Attributes:
         predicted: margins from the loop transfer function.
-        gain: search for the largest gain factor.
-        gain_lower: search for the smallest factor, as its inverse.
-        delay: search for the delay; beyond its own for an implemented loop.
-        sample_period: search for the sample period; not run for an implemented loop.
-        timestep: timestep of the physics [s].
+        gain: largest stable gain factor.
+        gain_lower: smallest stable gain factor, as its inverse.
+        delay: search for the smallest unstable delay; for an implemented loop, in addition to its own delay.
+        sample_period: search for the smallest unstable sample period; not run for an implemented loop.
+        timestep: timestep of the simulation [s].
         predicted_delay: smallest unstable delay of the linear loop [s].
-        late_grows, slow_grows: delay or sample period, a multiple of the timestep [s] -> True if the linear loop is unstable.
+        late_grows, slow_grows: functions that return True if the linear loop is unstable with a delay or a sample period [s],
+            which is a multiple of the timestep.
     """
 
     predicted: Margins
@@ -162,28 +181,28 @@ class LoopMargins:
 
     @property
     def found_gain_lower(self) -> float:
-        """The largest factor below 1 that grows; 0 where none does."""
+        """Largest unstable gain factor below 1; 0 if all these factors are stable."""
         return 1 / self.gain_lower.found
 
     @property
     def found_sample_period(self) -> float:
-        """Returns the longest period before the first that grows [s]; infinite if all are stable, NaN if no run decides it."""
+        """Longest stable sample period below the first unstable one [s]; infinite if all are stable, NaN if undecided."""
         edge = self.sample_period
         return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
 
     @property
     def found_delay(self) -> float:
-        """Smallest unstable delay [s]; infinite if all are stable, NaN if no run decides it."""
+        """Smallest unstable delay [s]; infinite if all are stable, NaN if the runs are not decisive."""
         return self.delay.unstable if _is_seen(self.delay, self.predicted_delay) else math.nan
 
     @property
     def found_phase(self) -> float:
-        """Returns the phase of the found delay at the crossover [rad]."""
+        """Phase lag of the found delay at the crossover frequency [rad]."""
         return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
+        """True if all margins agree with the prediction: gain margins to 0.5 %, delay and sample period to one timestep."""
         return (
             self.gain.agrees
             and self.gain_lower.agrees
@@ -198,9 +217,13 @@ class LoopMargins:
 
 
 def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> bool:
-    """Returns True if the linear loop, too, is unstable as late as MuJoCo at multiples of the timestep.
+    """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same limit as MuJoCo.
 
-    The loop is then unstable where it is predicted to be, but for less than a timestep.
+    In this case, the predicted unstable interval is shorter than a timestep, so neither search can see it.
+
+    Args:
+        edge: finished search.
+        grows: function that returns True if the linear loop is unstable with an amount.
     """
     if grows is None or not edge.unstable > edge.expected:
         return False
@@ -208,32 +231,33 @@ def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> 
 
 
 def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
-    """Returns True if an edge was searched and runs decide it: they are long enough for what is predicted [s]."""
+    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] is within its range."""
     within = math.isinf(predicted) or predicted < SLOWEST or math.isfinite(edge.unstable)
     return edge.searched and edge.decided and within
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
-    """Returns whether a margin is as predicted; NaN, which no run decides, contradicts nothing."""
+    """Returns True if a margin agrees with its prediction within a tolerance. NaN (undecided) agrees with everything."""
     return predicted == measured or math.isnan(measured) or abs(predicted - measured) <= within < math.inf
 
 
 def find_margins(
     vehicle: Vehicle, controller: Controller, timestep: PositiveTime, progress: Callable[[str], None] = no_progress
 ) -> dict[str, LoopMargins]:
-    """Returns gain and delay margins and the largest sample period, as predicted and as found in MuJoCo.
+    """Computes gain, phase and delay margins and the largest sample period of a loop, and finds them in MuJoCo.
 
     Args:
-        vehicle: the vehicle; its `[implementation]` is ignored.
-        controller: controller whose loop is stable.
-        timestep: MuJoCo's timestep [s].
-        progress: callback that receives a line on the progress.
+        vehicle: vehicle; its `[implementation]` is ignored.
+        controller: controller with a stable loop.
+        timestep: timestep of the simulation [s].
+        progress: callback that receives a line about the progress.
 
     Returns:
-        The margins of all loops together under ""; if there are several, also of each loop by its force, with the others closed.
+        Margins by name of the loop. The name "" is the loop that is cut at all actuators. For several actuators, the name of a
+        force is the loop that is cut at this force while the other loops are closed.
 
     Raises:
-        InputError: the controller is another vehicle's, or the timestep is not allowed.
+        InputError: the controller belongs to another vehicle, or the timestep is invalid.
 
     Example:
         >>> from models import read_vehicle
@@ -253,13 +277,13 @@ def find_margins(
 
 
 def loops_of(vehicle: Vehicle) -> dict[str, list[int]]:
-    """Returns the actuators of all loops together, under "", and of each loop of several, by its force."""
+    """Returns the indices of the actuators at which each loop is cut, by name of the loop; see `find_margins`."""
     names = vehicle.linear_model.inputs
     return {"": list(range(len(names)))} | ({name: [i] for i, name in enumerate(names)} if len(names) > 1 else {})
 
 
 def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_progress) -> None:
-    """Runs the searches of any loops, of several controllers too, with the runs of a timestep in one batch."""
+    """Runs the searches of loops, which may belong to several controllers. Runs with the same timestep form one batch."""
     gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
     others = [search for one in loops for search in (one.delay, one.sample_period) if search.most]
     search_and_run([*(gain.search for gain in gains), *others], progress)
@@ -269,7 +293,14 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
+    """Returns the predicted margins of a loop, and the prepared searches for these margins in MuJoCo.
+
+    Args:
+        vehicle: vehicle without sample period, delay and noise.
+        controller: controller of the loop.
+        actuators: indices of the actuators at which the loop is cut.
+        timestep: timestep of the simulation [s].
+    """
     continuous, forces = loop_of(vehicle, controller), [vehicle.linear_model.inputs[i] for i in actuators]
     predicted = margins(continuous, forces)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
@@ -290,7 +321,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         cut = loop_of(prompt, controller, timestep).cut(forces)
         return abs(slowest_from_sample_to_sample(cut, round(delay / timestep))) > 1
 
-    late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    late = max(predicted.delay - timestep / 2, timestep)  # the hold of the force acts as a delay of half a sample
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
     return LoopMargins(
         predicted,
@@ -305,7 +336,9 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
 
 
 def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """Returns the same for the loop with its sample period and delay. The delay is searched if the loop is cut at all actuators.
+    """As `searches`, for the loop with the sample period and the delay of the vehicle file.
+
+    The search for the delay runs only if the loop is cut at all actuators.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep.
@@ -324,7 +357,9 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     def grows(amount: float) -> bool:
         return radius(loop_of(later(amount).vehicle, controller, timestep)) > 1
 
-    late = math.inf  # the hold is not delayed as a phase is: near half the sample rate, that is not the same
+    late = (
+        math.inf
+    )  # near half the sample rate, a delayed hold differs from a phase lag, so the delay is searched in the linear loop
     if mine.all() and predicted.delay < SLOWEST:
         late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
     return LoopMargins(
@@ -345,10 +380,15 @@ def _gain_margins(
     timestep: float,
     derivative: Callable[[float], StateSpace],
 ) -> Iterator[GainMargin]:
-    """Yields the gain margin of some forces and the lower one.
+    """Yields the upper and the lower gain margin of a loop.
 
     Args:
-        derivative: timestep -> derivative of MuJoCo's step.
+        vehicle: vehicle of the loop.
+        controller: controller of the loop.
+        actuators: indices of the actuators whose gain changes.
+        predicted: predicted margins.
+        timestep: timestep of the simulation [s].
+        derivative: function that returns the derivative of MuJoCo's step for a timestep [s].
     """
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
 
@@ -361,7 +401,7 @@ def _gain_margins(
         return LoopCase(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
-        # A factor to this power is an amount above 1: how many times more gain, or how many times less.
+        # An amount is above 1: the gain is multiplied by it (power 1) or divided by it (power -1).
         def amount(step: float, k: int = power) -> float:
             return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
 

@@ -1,4 +1,4 @@
-"""Margins as documents, and their records."""
+"""Output of stability margins: printed documents, JSON objects, and the section of the report."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,12 +29,22 @@ NO_LIMIT = "no limit"
 
 
 def number(value: float) -> str:
-    """Returns a margin: `no limit` if it is infinite, and `-` if no run shows it."""
+    """Returns a margin as text: `no limit` for infinity, `-` for NaN."""
     return NO_LIMIT if math.isinf(value) else SIZE.digits(value)
 
 
 class Row(NamedTuple):
-    """A margin in a table, the prediction also in dB or degrees; `extra` ones are not in comparisons of controllers."""
+    """A margin in a table.
+
+    Attributes:
+        margin: name with unit.
+        predicted: predicted value.
+        found: value found in MuJoCo; NaN if it is only predicted or not decided.
+        note: remark.
+        extrapolated: True if `found` is extrapolated to a timestep of 0.
+        extra: True to omit the row in comparisons of controllers.
+        usual: predicted value in dB or degrees; None if it does not have one.
+    """
 
     margin: str
     predicted: float
@@ -68,7 +78,7 @@ Value = Callable[[LoopMargins], float]
 
 
 def _margin(label: str, predicted: Value, found: Value, scale: float = 1.0, unit: str = "") -> tuple[Field[LoopMargins], ...]:
-    """Returns the fields of a margin: predicted, and found in MuJoCo."""
+    """Returns two fields of a margin: the predicted value, and the value found in MuJoCo."""
     return Field(label, predicted, number, scale, "predicted", unit), Field("in MuJoCo", found, number, scale, "found", unit)
 
 
@@ -93,7 +103,7 @@ FACTOR = Field[float]("factor", float, ".3g")
 
 SAMPLED_MARGIN = Record[tuple[float, StabilityEdge]](
     timestep=lambda tried: tried[1].timestep, predicted=lambda tried: tried[0], found=lambda tried: tried[1].found
-)  # margin of the sampled loop at a timestep that physics ran with
+)  # margin of the sampled loop at a timestep of the simulation
 LOOP = Record[LoopMargins](
     gain=Record(
         *GAIN,
@@ -120,7 +130,7 @@ LOOP = Record[LoopMargins](
 
 
 def _loop(found: StabilityMargins, name: str) -> dict[str, Any]:
-    """Returns the record of a loop; gain, phase and disk are those of the implemented loop, if that differs."""
+    """Returns the JSON object of a loop. If an implemented loop exists, its gain, phase and disk margins come first."""
     ideal, *built = (LOOP(of[name]) for of in (found.loops, found.implemented_loops) if name in of)
     first = [{key: one[key] for key in IMPLEMENTED_MARGINS} for one in (*built, ideal)]
     return {**ideal, **first[0], "ideal": first[1]} if built else ideal
@@ -134,12 +144,15 @@ RECORD = Record[StabilityMargins](
 
 
 def record(found: StabilityMargins) -> dict[str, Any]:
-    """Returns the margins of a controller as a JSON object in SI units; `ideal` has those of the ideal loop, if it differs."""
+    """Returns the margins of a controller as a JSON object in SI units.
+
+    If the implemented loop differs from the ideal loop, the key `ideal` contains the margins of the ideal loop.
+    """
     return {"controller": found.controller.name, **_loop(found, ""), **RECORD(found)}
 
 
 def describe(found: StabilityMargins) -> Document:
-    """Returns the margins of a controller as a document."""
+    """Returns the document about the margins of one controller."""
     vehicle, controller = found.vehicle, found.controller
     loops = [(f"{name}, implemented", one) for name, one in found.implemented_loops.items() if name]
     loops += [(f"{name}, ideal" if found.implemented_loops else name, one) for name, one in found.loops.items() if name]
@@ -157,7 +170,7 @@ def describe(found: StabilityMargins) -> Document:
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
-    """Returns the margins of several controllers of a vehicle as a document with figures."""
+    """Returns the document about the margins of several controllers of a vehicle, with figures."""
     vehicle, timestep = found[0].vehicle, found[0].loops[""].timestep
     texts = [
         "Each margin applies to all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
@@ -178,7 +191,7 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
 
 
 def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
-    """Returns statements on the predicted margins of some controllers."""
+    """Returns statements about the agreement between MuJoCo and the predicted margins of controllers."""
     agreed, statements = [one for one in found if one.agrees], list[Statement]()
     if agreed:
         loops = [loop for one in agreed for loop in one.loops.values()]
@@ -195,7 +208,7 @@ def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
 
 
 def loop_texts(vehicle: Vehicle) -> list[str]:
-    """Describes the loop of the margins, if the vehicle file has more than parameters."""
+    """Returns sentences about the loop of the margins: actuator lag, delay, noise, dampers and linearised characteristics."""
     texts, how = [], vehicle.implementation
     if not vehicle.ideal or vehicle.dampers:
         lag = "has no actuator lag" if vehicle.limits.actuator_bandwidth is None else "includes the lag of its actuators"
@@ -213,19 +226,25 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
 
 
 def _fixed_period(found: StabilityMargins) -> float | None:
-    """Returns the sample period of a discrete law [s]."""
+    """Returns the sample period of a discrete law [s]; None for a continuous law or a static gain."""
     law = found.controller.law
     return law.sample_period if law.states else None
 
 
 def _rows(found: StabilityMargins) -> list[Row]:
-    """Returns the margins of all actuators together: of the implemented loop, and of the ideal loop."""
+    """Returns the rows of the loop that is cut at all actuators: first the implemented loop (if present), then the ideal loop."""
     rows = _loop_rows(found, found.implemented_loops[""]) if found.implemented_loops else []
     return [*rows, *_loop_rows(found, found.loops[""], ", ideal loop" * bool(found.implemented_loops))]
 
 
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
-    """Returns the margins of a loop; `of` follows the names of those that the implemented loop has, too."""
+    """Returns the rows of a loop.
+
+    Args:
+        found: margins of the controller.
+        one: margins of the loop.
+        of: text after the names of those margins that the implemented loop has as well, such as ", ideal loop".
+    """
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower, high = predicted.gain_lower or one.found_gain_lower, predicted.gain
     below = f"no crossover: {'eigenvalues of L' if len(found.vehicle.linear_model.inputs) > 1 else '|L|'} < 1 at all frequencies"
@@ -273,13 +292,18 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
 
 
 def _values(margin: Sequence[Field[LoopMargins]], one: LoopMargins) -> tuple[float, float]:
-    """Returns a margin in its unit: predicted, and found in MuJoCo."""
+    """Returns the predicted and the found value of a margin in its printed unit."""
     predicted, found = (field.scale * field.value(one) for field in margin)
     return predicted, found
 
 
 def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
-    """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
+    """Returns a row for the margin of the sampled loop at each timestep, if finer searches ran.
+
+    Args:
+        gain: gain margin.
+        power: 1 for an upper margin; -1 for a lower margin, which is stored as its inverse.
+    """
     return [
         Row(f"  sampled every {1e3 * search.timestep:g} ms", at**power, search.found**power, extra=True)
         for at, search in gain.tried
@@ -292,7 +316,13 @@ def _join_notes(*texts: str) -> str:
 
 
 def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
-    """Returns a note on a time at which a loop is unstable, with the reason if no run decides it."""
+    """Returns the note about a delay or sample period, with the reason if the runs are not decisive.
+
+    Args:
+        edge: finished search.
+        found: value found in MuJoCo [s]; NaN if the runs are not decisive.
+        texts: further notes.
+    """
     reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
     missed = "unstable there for less than a timestep" * (edge.unstable > edge.expected + 2 * edge.multiple)
     return _join_notes(*texts, missed, reason if edge.decided else UNDECIDED_NOTE)

@@ -1,7 +1,7 @@
-"""Loops as MuJoCo runs them, from one sample to the next: the derivative of MuJoCo's own step about equilibrium, and the law.
+"""Discrete model of a loop as MuJoCo simulates it: the derivative of MuJoCo's step at equilibrium, closed with the control law.
 
-The law is the one that runs execute (`sim.drive.drivers.linear`). Forces are held over a sample, and those of the last samples
-are still pending where they act late.
+The law is the same as in runs (`sim.drive.drivers.linear`). Forces are held over a sample period. With a delay, the state also
+contains the pending forces of the last samples.
 """
 
 import math
@@ -21,20 +21,20 @@ from synth.controller.controller import Controller
 from synth.plant.loop import REQUESTED, HoldInterval, Loop
 from synth.plant.state_space import StateSpace
 
-STANDS = 1e-6  # 1/s; a mode that moves less stands still: the differences are exact to a tenth of it
-SMALL = 1e-6  # m or rad, of the largest coordinate of a mode from which a run starts
-FREE = 1e-2  # of the force limit, which such a run does not reach
-ACTING_STATE = "acting_{}"  # names of the states that are acting forces
+STANDS = 1e-6  # 1/s; a smaller growth rate counts as 0, because the error of the finite differences is a tenth of this rate
+SMALL = 1e-6  # m or rad; largest coordinate of the initial state of a run
+FREE = 1e-2  # largest force in such a run, relative to the force limit
+ACTING_STATE = "acting_{}"  # names of the states that contain acting forces
 
 
 @dataclass(frozen=True, eq=False)
 class LoopCase:
-    """Loop in MuJoCo.
+    """A loop to simulate in MuJoCo.
 
     Attributes:
-        vehicle: vehicle with its implementation of the controller.
+        vehicle: vehicle with sample period and delay of the controller.
         controller: the controller.
-        undelayed_controller: second controller, whose forces act at every timestep without delay, or None.
+        undelayed_controller: second controller, whose forces act at every timestep without delay; None without it.
     """
 
     vehicle: Vehicle
@@ -44,15 +44,15 @@ class LoopCase:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLoop:
-    """Loop from sample to sample, of a delay by whole samples and a loop with the rest of it.
+    """Discrete model of a loop. The delay consists of an integer number of samples and a remaining fraction of a sample.
 
-    The states of the loop are those of `_held_forces`, of the law and, for a delay with a fraction of a sample, the force that
-    acts at the start of a sample.
+    The states of `loop` are those of `_held_forces` and those of the law. If the delay has a fraction of a sample, the force
+    that acts at the start of a sample is also a state.
 
     Attributes:
-        loop: the loop, but for its whole samples of delay.
-        delay: whole samples of delay.
-        lagging: number of lagging forces.
+        loop: loop with only the fraction of a sample as delay.
+        delay: integer number of samples of delay.
+        lagging: number of states that are forces of actuators with lag.
     """
 
     loop: Loop
@@ -61,7 +61,7 @@ class SimulatedLoop:
 
     @cached_property
     def cut(self) -> StateSpace:
-        """The loop that is cut at all forces."""
+        """Loop that is cut at all forces."""
         return self.loop.cut(self.loop.forces)
 
     @cached_property
@@ -72,12 +72,12 @@ class SimulatedLoop:
 
     @cached_property
     def slowest(self) -> tuple[complex, Array]:
-        """The eigenvalue z with the largest magnitude, and its vector in the state, complex, shape (n,)."""
+        """Eigenvalue z with the largest magnitude, and its complex eigenvector, shape (n,)."""
         return mode(self.cut, self.delay, self._over_delay)
 
     @property
     def rate(self) -> float:
-        """Rate of the slowest mode [1/s], positive if it grows; NaN if the iteration does not find it."""
+        """Growth rate of the slowest mode [1/s], positive if it grows; NaN if the eigenvalue iteration does not converge."""
         try:
             return math.log(max(abs(self._over_delay), 1e-300)) / max(self.delay, 1) / self.loop.period
         except ArpackError:
@@ -85,11 +85,11 @@ class SimulatedLoop:
 
     @property
     def grows(self) -> bool:
-        """Returns True if the loop is unstable."""
+        """True if the loop is unstable."""
         return self.rate > STANDS
 
     def start(self, limit: float | None) -> State:
-        """Returns the start of a run in the slowest mode alone, which stays below a force limit [N]."""
+        """Returns an initial state that contains only the slowest mode, scaled such that forces stay below a limit [N]."""
         (z, vector), states = self.slowest, self.loop.plant.states
         moving = states.index(ACTING_STATE.format(0)) - self.lagging
         ends = np.cumsum([moving, self.lagging, len(self.loop.forces)])
@@ -104,7 +104,11 @@ class SimulatedLoop:
 
 
 def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
-    """Returns a loop of the vehicle of this step, see `step_derivative`.
+    """Returns the discrete model of a loop.
+
+    Args:
+        step: derivative of MuJoCo's step for the vehicle, see `step_derivative`.
+        trial: the loop.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep.
@@ -119,7 +123,12 @@ def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
 
 
 def _held_forces(step: StateSpace, undelayed: Controller | None) -> StateSpace:
-    """Returns the step under forces that are held; its states are [z; acting forces; states of the undelayed controller]."""
+    """Returns the model of a step with held forces. Its state is [z; acting forces; states of the undelayed controller].
+
+    Args:
+        step: derivative of MuJoCo's step, with the state z.
+        undelayed: controller whose forces act without delay; None without such a controller.
+    """
     n, m = step.B.shape
     seen = np.hstack([step.C, step.D])
     law = static_law(np.zeros((m, 0))) if undelayed is None else undelayed.law.sampled(step.dt or 0.0)

@@ -1,7 +1,7 @@
-"""Derivative of MuJoCo's own step about equilibrium.
+"""Derivative of a MuJoCo step at equilibrium.
 
-A step takes position, velocity, own states of parts and lagging forces z to A z + B u under the acting forces u. The sensors
-before it measure C z + D u, with the forces of the step before.
+The state z contains positions, velocities, internal states of parts, and the forces of actuators with lag. Under the forces u,
+a step changes z to A z + B u. The sensors before the step measure C z + D u, where u are the forces of the previous step.
 """
 
 from functools import lru_cache
@@ -14,19 +14,23 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.sensor_readout import batch_of, prepared_readout, states_of_parts
 from synth.plant.state_space import StateSpace
 
-MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
-SMOOTH = 1e-3  # of a difference: how far the two sides of equilibrium may differ
+MOTION, FORCE = 1e-5, 1e-2  # steps of the finite differences: m or rad, and N; relative error 1e-9 due to nonlinear geometry
+SMOOTH = 1e-3  # allowed relative difference between forward and backward differences
 
 
 @lru_cache(maxsize=16)
 def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
-    """Returns the derivative of a step about equilibrium, with the road at rest, by central differences of runs side by side.
+    """Returns the derivative of a MuJoCo step at equilibrium on a flat road, by central differences.
 
-    Its states are positions, velocities, own states of parts, and lagging forces, which are called as the forces; its outputs are
-    the signals.
+    The states are positions, velocities, internal states of parts, and the forces of actuators with lag. These force states
+    have the names of the forces. The outputs are the signals of the vehicle.
+
+    Args:
+        vehicle: the vehicle.
+        timestep: timestep of the simulation [s].
 
     Raises:
-        InputError: MuJoCo has no derivative at equilibrium, because a curve bends there.
+        InputError: the step has no derivative, because the characteristic of a spring or damper has a kink at equilibrium.
     """
     model, readout = prepared_readout(vehicle, timestep)
     own, m = readout.of_parts.shape[1], len(vehicle.linear_model.inputs)

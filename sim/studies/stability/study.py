@@ -1,4 +1,4 @@
-"""Margins of controllers, predicted and found in MuJoCo: the result of which text, JSON and figures are made."""
+"""Margins of controllers, predicted and found in MuJoCo: the result from which text, JSON and figures are made."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +16,11 @@ class StabilityMargins:
     """Margins of one controller.
 
     Attributes:
-        vehicle: the vehicle as in its file.
+        vehicle: vehicle of the vehicle file.
         controller: the controller.
-        loops: margins of the ideal loop, cut at all actuators under "", and at each of several if requested.
-        implemented_loops: the same of the implemented loop; empty if it has neither sample period nor delay.
+        loops: margins of the ideal loop by name; "" is the loop cut at all actuators, and a force is the loop cut at this
+            force.
+        implemented_loops: margins of the implemented loop by name; empty if it has neither sample period nor delay.
     """
 
     vehicle: Vehicle
@@ -29,14 +30,14 @@ class StabilityMargins:
 
     @property
     def wrong(self) -> list[str]:
-        """Returns the names of the margins for which MuJoCo contradicts the prediction."""
+        """Names of the loops with a margin for which MuJoCo contradicts the prediction."""
         loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.implemented_loops.items()]
         loops += [(name or "the loop", one) for name, one in self.loops.items()]
         return [name for name, one in loops if not one.agrees]
 
     @property
     def agrees(self) -> bool:
-        """Returns True if MuJoCo has the predicted margins."""
+        """True if MuJoCo has the predicted margins."""
         return not self.wrong
 
 
@@ -47,12 +48,14 @@ def stability_margins(
     progress: Callable[[str], None] = no_progress,
     each_loop: bool = True,
 ) -> list[StabilityMargins]:
-    """Returns the margins of each controller for the vehicle in equilibrium.
+    """Computes the margins of controllers for the vehicle in equilibrium, and finds them in MuJoCo.
 
     Args:
-        timestep: MuJoCo's timestep [s].
-        progress: callback that receives the name of the stage, or a line on its progress.
-        each_loop: True to find the margins of each of several actuators, too.
+        vehicle: the vehicle.
+        controllers: controllers with stable loops.
+        timestep: timestep of the simulation [s].
+        progress: callback that receives the name of the stage, or a line about its progress.
+        each_loop: True to include the loops that are cut at a single actuator.
     """
     progress("margins")
     built = at_rest(vehicle)

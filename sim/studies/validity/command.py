@@ -1,4 +1,4 @@
-"""The study of validity: the map of bumps over which linear analysis is valid, over one or two of height, length and speed."""
+"""The study of validity: a map of the bumps over which linear analysis is valid, with height, length or speed on its axes."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from sim.studies.validity.regime_end import RegimeEnd
     from sim.studies.validity.regime_map import Cells
 
-OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps on a page
+OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps in a report
 
 
 class EnvelopeStudy(Study["Cells"]):
-    """Map of validity of a controller, or on a page a map of each active controller."""
+    """Study that maps the validity of linear analysis for one controller (command) or for each active controller (report)."""
 
     description = "Map the bumps over which linear analysis is valid, and the limits that end it."
     epilog = """
@@ -65,7 +65,7 @@ examples:
         parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
     def vehicle(self, given: "Vehicle", names: Sequence[str]) -> "Vehicle":
-        """Returns the vehicle at rest, where it meets the bumps of the map."""
+        """Returns the vehicle in equilibrium, from which each run over a bump starts."""
         return given.with_common_actuators(names).starting()
 
     def check(self, request: StudyRequest) -> None:
@@ -73,7 +73,7 @@ examples:
         from sim.studies.validity.map_runs import with_loads
 
         options, (bumps, time, loads) = request.options, _map_of(request)
-        print_remarks(bumps[-1])  # the largest of all
+        print_remarks(bumps[-1])  # the largest bump
         if not 0 < options.threshold < 1:
             raise InputError(f"threshold = {options.threshold:g} is not allowed; give a number above 0 and below 1, such as 0.05")
         if abs(bumps[0].height) < LOWEST:
@@ -126,7 +126,10 @@ examples:
         write_csv(path, result)
 
     def runs(self, request: StudyRequest, result: "Cells") -> "dict[str, Run]":
-        """Runs the cell nearest to an event among those without a predicted one, and the mildest cell of each predicted event."""
+        """Simulates some cells of the map, and returns the runs by name.
+
+        For each limit, the cell is the one that exceeds the limit least. A further cell comes closest to a limit from below.
+        """
         import numpy as np
 
         from sim.drive.regime import END_NAMES
@@ -163,7 +166,7 @@ examples:
 
 
 class EndsStudy(Study["list[RegimeEnd | None]"]):
-    """Height of a bump up to which linear analysis is valid, for each stable controller, on a page."""
+    """Study that adds to a report the bump height up to which linear analysis is valid, for each stable controller."""
 
     def requests(self, scope: "Subject") -> "Mapping[str, Subject]":
         return {"": scope} if scope.stable else {}
@@ -193,10 +196,10 @@ class EndsStudy(Study["list[RegimeEnd | None]"]):
 
 
 def _map_of(request: StudyRequest) -> "tuple[list[Bump], Array, tuple[Load, ...]]":
-    """Returns the bumps, the sample times of a run over each [s] and the loads that options request.
+    """Returns the requested bumps, the sample times of each run [s], shape (T,), and the requested loads.
 
     Raises:
-        InputError: bad axes or loads, or an axis that another option sets, too.
+        InputError: an axis or a load is invalid, or an option also sets the quantity of an axis.
     """
     from models.roads.loads.choice import choose_load
     from sim.runs.run import sample_times

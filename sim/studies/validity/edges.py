@@ -1,4 +1,4 @@
-"""Edges of a map of validity along one axis, at every value of the other: where the linear regime ends, and by which end."""
+"""Edges of a map of validity: the limits that end the linear regime along one axis, for each value of the other axis."""
 
 from collections.abc import Mapping
 from itertools import groupby
@@ -14,15 +14,19 @@ from sim.drive.regime import END_NAMES
 from sim.studies.validity.grid import UNITS
 from sim.studies.validity.regime_map import Cells
 
-LINES = 4  # of a map, on a terminal
-PARTS = 2  # ends of a line
+LINES = 4  # largest number of lines of the map in the printed table
+PARTS = 2  # largest number of limits in a row of the table
 HEIGHT = Field[float]("height", float, ".4g", unit="m")
 TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 
 
 def edges(cells: Cells) -> dict[str, Any]:
-    """Returns the edges for JSON, in SI units: the predicted ones along the height, if it is varied, and MuJoCo's."""
-    proportional = not (cells.loads or cells.vehicle.parts.nonlinear)  # so that one response predicts all heights
+    """Returns the edges as a JSON object in SI units.
+
+    For each value of the other axis, `lines` contains the predicted limits along the height. If the height does not vary, these
+    are the limits along the first axis. `enclosed` contains the heights that MuJoCo runs enclose.
+    """
+    proportional = not (cells.loads or cells.vehicle.parts.nonlinear)  # if True, one response predicts all heights
     along, *others = sorted(cells.axes, key=lambda axis: axis.name != "height")
     members: dict[float, list[int]] = {}
     for i, bump in enumerate(cells.bumps):
@@ -54,7 +58,7 @@ def edges(cells: Cells) -> dict[str, Any]:
 
 
 def edge_document(cells: Cells) -> Document:
-    """Returns a few edges as a document."""
+    """Returns the printed document about the edges, with at most `LINES` lines of the map."""
     whole = edges(cells)
     along, every = whole["along"], whole["lines"]
     other = next((axis.name for axis in cells.axes if axis.name != along), "")
@@ -83,7 +87,7 @@ def edge_document(cells: Cells) -> Document:
 
 
 def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
-    """Returns the two heights that enclose an end in MuJoCo, and its name if it is not the predicted one."""
+    """Returns the two heights between which MuJoCo reaches a limit, and the name of the limit if it is not the predicted one."""
     if one is None:
         return "-"
     if one["ended_at"] is None:
@@ -93,7 +97,7 @@ def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
 
 
 def travel_texts(cells: Cells) -> list[str]:
-    """Describes how far a suspension without bump stops moves where no limit is reached; empty if every one has stops."""
+    """Returns a sentence about the largest travel below all limits; empty if all suspensions have bump stops."""
     suspensions = cells.vehicle.kind.suspensions
     whole = cells.travel[cells.predicted < 0]
     if not len(whole) or len(cells.vehicle.parts.strokes) == len(suspensions):

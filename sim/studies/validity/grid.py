@@ -1,4 +1,4 @@
-"""The axes of a map of validity, and the bumps of its cells."""
+"""Axes of a map of validity, and the bumps of its cells."""
 
 import itertools
 import math
@@ -12,14 +12,14 @@ from models.common.schema import SI, keys
 from models.common.units import setting
 from models.roads.road import LOWEST, Bump
 
-NUMBERS = {name: key for name, key in keys(Bump).items() if isinstance(key, SI)}  # of a bump
+NUMBERS = {name: key for name, key in keys(Bump).items() if isinstance(key, SI)}  # numeric keys of a bump
 UNITS = {name: key.unit for name, key in NUMBERS.items()}
 MOST_CELLS = 100_000
 
 
 @dataclass(frozen=True)
 class GridAxis:
-    """Quantity of a bump, varied evenly.
+    """Axis of a map: a quantity of the bump at evenly spaced values.
 
     Attributes:
         name: height, length or speed.
@@ -31,10 +31,11 @@ class GridAxis:
 
 
 def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
-    """Returns one or two axes from `name:low:high:count` each.
+    """Returns the axes of one or two values of `--vary`, each in the form `name:low:high:count`.
 
     Raises:
-        InputError: no axis or more than two, equal axes, an unknown quantity, no numbers, a grid of one point.
+        InputError: the number of axes is not 1 or 2, the axes are equal, or an axis is invalid: unknown quantity, invalid
+            number, fewer than two points.
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) not in (1, 2):
@@ -57,7 +58,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
         if count < 2:
             raise InputError(f"--vary {text}: {count} points are too few; give 2 or more, or one value with --{name}")
-        if count > MOST_CELLS // 2:  # another axis has 2 or more
+        if count > MOST_CELLS // 2:  # a second axis would have at least 2 points
             raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:
@@ -69,7 +70,12 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
 
 
 def grid(axes: Sequence[GridAxis], fixed: dict[str, float]) -> list[Bump]:
-    """The bump of every cell, the last axis running fastest."""
+    """Returns the bumps of all cells. The last axis changes fastest.
+
+    Args:
+        axes: axes of the map.
+        fixed: height [m], length [m] and speed [m/s] if they are not an axis.
+    """
     names = [axis.name for axis in axes]
     cells = [fixed | dict(zip(names, values, strict=True)) for values in itertools.product(*(axis.values for axis in axes))]
     return [Bump(cell["height"], cell["length"], cell["speed"]) for cell in cells]

@@ -1,4 +1,4 @@
-"""Bumps for a map of validity: by analysis, and in MuJoCo."""
+"""Runs over the bumps of a map of validity, by linear analysis and in MuJoCo."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from sim.linear.stepped import stepped_runs
 from sim.observers.recorder import Recording, record
 from synth.controller.controller import Controller, is_linear
 
-AT_ONCE = 32  # runs in a batch: more would wait for the longest
+AT_ONCE = 32  # largest number of runs in a batch; short runs would wait for the longest run of a larger batch
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class MapRun:
     """Result of one MuJoCo run.
 
     Attributes:
-        share: largest share of the way to an end.
-        first: first end as an index into `REGIME_ENDS`, -1 for none.
-        time: time of that end [s], infinite for none.
+        share: largest signal relative to its limit in `REGIME_ENDS`.
+        first: first limit that was reached, as an index into `REGIME_ENDS`; -1 if no limit was reached.
+        time: time at which this limit was reached [s]; infinite if no limit was reached.
         broke_off: reason why the run broke off, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it did not.
-        error: largest difference from the linear loop, without curves and adjustable dampers, of any signal's peak.
-        missing: rms of the forces that adjustable dampers did not give, over that of the requested ones at the samples; 0 if none
-            was requested, NaN without such dampers.
+        error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to its peak.
+        missing: rms of the force that semi-active dampers could not apply, relative to that of the requested force. The value
+            is 0 if no force was requested, and NaN without semi-active dampers.
     """
 
     share: float
@@ -47,17 +47,20 @@ class MapRun:
 
     @property
     def end(self) -> str:
-        """Returns the name of the first end, or the reason why the run broke off; empty for neither."""
+        """Name of the first limit that was reached, or the reason why the run broke off; empty otherwise."""
         return END_NAMES[self.first] if self.first >= 0 else self.broke_off
 
 
 def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
-    """Returns a bump with the loads on the body, if any."""
+    """Returns a bump with loads on the body; the bump itself without loads."""
     return RoadWithLoads(bump, loads) if loads else bump
 
 
 def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
-    """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
+    """Returns the responses of one controller over N roads by analysis, values of shape (N, T, S).
+
+    The analysis includes nonlinear springs and dampers, and semi-active dampers.
+    """
     inputs = [RoadInput(vehicle, road, time) for road in roads]
     if is_linear(controller, vehicle):
         return sampled_responses(controller, inputs)
@@ -65,7 +68,7 @@ def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road
 
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
-    """Returns the response of each controller over its road; those that are not linear are computed side by side."""
+    """Returns the response of each controller over its own road by analysis. Nonlinear responses are computed simultaneously."""
     bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(one, vehicle)]
     responses = dict[int, Response]()
     for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):
@@ -77,7 +80,10 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
 
 
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
-    """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E), without missing force of dampers."""
+    """Returns the largest value of a response relative to each limit in `REGIME_ENDS`, shape (..., E).
+
+    The entry for missing force of semi-active dampers is 0, because the analysis includes these dampers.
+    """
     used = utilisation(vehicle, response, controller.has_anti_windup)
     if not is_linear(controller, vehicle):
         used[..., REGIME_ENDS.index(DAMPER)] = 0.0
@@ -85,13 +91,19 @@ def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Arra
 
 
 def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) -> float:
-    """Returns the largest difference of a run from an analysis, of any output signal's peak; infinite if the run diverged."""
+    """Returns the largest difference of an output signal from analysis, relative to its peak; infinite if the run diverged."""
     apart = float(np.abs(difference(physics, analysis.only(vehicle.linear_model.outputs)).values).max())
     return math.inf if math.isnan(apart) else apart
 
 
 def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[MapRun]:
-    """Runs controllers over roads in MuJoCo, each over so many samples or more."""
+    """Simulates runs in MuJoCo.
+
+    Args:
+        vehicle: the vehicle.
+        runs: controller, road and number of samples of each run. A run may be longer, because runs of a batch are equally long.
+        time: sample times [s], shape (T,).
+    """
     order = sorted(range(len(runs)), key=lambda i: runs[i][2])
     at_once = min(AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
     results = dict[int, MapRun]()
@@ -104,7 +116,7 @@ def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], 
 
 
 def _result(controller: Controller, run: Recording) -> MapRun:
-    """Returns the result of a run."""
+    """Returns the result of a recorded MuJoCo run."""
     vehicle, response, diverged = run.vehicle, run.response, run.diverged
     times, missing = end_times(vehicle, response, controller.has_anti_windup), math.nan
     if not is_linear(controller, vehicle):

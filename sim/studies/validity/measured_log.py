@@ -1,7 +1,7 @@
-"""Runs compared with a measured log: its start by correlation, the samples at common times, and the fit of each signal.
+"""Comparison of runs with a measured log: alignment in time by correlation, and the fit of each signal.
 
-The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, 0 for a run without motion. Runs and log are compared
-at the instants of the coarser of the two, where both have values.
+The fit is 1 - rms(measured - MuJoCo) / rms(measured). It is 1 for equal signals, and 0 if the run has no motion. The signals
+are compared at the sample times of the run or of the log, whichever has the larger sample period.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,21 +20,22 @@ from sim.drive.response import Response
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
-LEAST_OVERLAP = 0.5  # of the shorter of log and run, for a start by correlation
-MOST_SAMPLES = 2**21  # of log and run at one rate, to correlate them
-WEAK = 0.5  # correlation below which a remark asks for the start
-OFFSET = 0.1  # gain of the fit by removing an offset that is remarked
-OPPOSITE, CLEARLY = -0.5, 1.1  # correlation of a column whose sign is likely wrong, and its ratio to that with the given sign
+LEAST_OVERLAP = 0.5  # smallest overlap of log and run for a correlation, relative to the shorter of the two
+MOST_SAMPLES = 2**21  # largest number of samples of log and run for the correlation
+WEAK = 0.5  # correlation below which a remark asks the user to check the start
+OFFSET = 0.1  # improvement of the fit by removing an offset above which a remark is printed
+# Correlation that suggests a wrong sign, and its smallest ratio to the correlation with the given sign:
+OPPOSITE, CLEARLY = -0.5, 1.1
 
 
 @dataclass(frozen=True)
 class SignalFit:
-    """Measured signal compared with a run.
+    """Comparison of a measured signal with a run.
 
     Attributes:
         fit: 1 - rms(measured - MuJoCo) / rms(measured); None if the measured signal is zero.
-        fit_without_offset: the fit if the offset is removed from the measured signal; None if nothing remains.
-        correlation: correlation coefficient; None if one of the two is constant.
+        fit_without_offset: fit after the offset is removed from the measured signal; None if the signal is then zero.
+        correlation: correlation coefficient; None if one of the signals is constant.
         offset: mean of measured - MuJoCo, in the signal's SI unit.
         rms: rms of the measured signal, in the signal's SI unit.
         samples: number of compared samples.
@@ -49,11 +50,11 @@ class SignalFit:
 
     @property
     def record(self) -> dict[str, float | int | None]:
-        """Returns the comparison as an object for JSON."""
+        """Comparison as a JSON object."""
         return asdict(self)
 
 
-_Row = tuple[Signal, str, SignalFit]  # signal, name of the run
+_Row = tuple[Signal, str, SignalFit]  # signal, name of the run, and their comparison
 
 
 def _fit_of(row: _Row) -> SignalFit:
@@ -69,17 +70,17 @@ FIT = Field[SignalFit]("fit", lambda one: one.fit, ".3f")
 
 @dataclass(frozen=True, eq=False)
 class MeasuredComparison:
-    """A measured log at the instants of runs.
+    """Comparison of a measured log with runs.
 
     Attributes:
         log: the log.
-        start: time of the log at the start of the runs, in the log's own clock [s].
-        correlation: mean correlation of the signals at that start, for the run with the largest one.
+        start: time of the log at which the runs start [s].
+        correlation: mean correlation of the signals with this start, for the run with the largest correlation.
         given: True if the user gave the start.
         response: measured signals over the time of the runs; NaN within gaps.
-        offsets: removed offset of each signal, in its SI unit; empty if none were removed.
-        opposite: signals that correlate better with the opposite sign, at any start.
-        fits: fits of each run, by name of the signals that the run has.
+        offsets: removed offset of each signal, in its SI unit; empty if no offsets were removed.
+        opposite: names of signals that would correlate better with the opposite sign.
+        fits: fits of each run, by name of the signals that log and run have in common.
     """
 
     log: MeasuredLog
@@ -93,7 +94,7 @@ class MeasuredComparison:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Returns the alignment as an object for JSON."""
+        """Alignment of log and runs as a JSON object."""
         first, last = (float(self.response.time[i]) for i in (0, -1))
         return {
             "file": self.log.source,
@@ -107,7 +108,7 @@ class MeasuredComparison:
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Remarks on the log and on its columns: a weak correlation, an opposite sign, an offset."""
+        """Remarks about the log and its columns: weak correlation, opposite sign, or offset."""
         about = f"measured log {self.log.source}: "
         yield from (f"{about}{remark}" for remark in self.log.remarks)
         if not self.given and self.correlation < WEAK:
@@ -124,7 +125,7 @@ class MeasuredComparison:
                 yield f"{about}{name} has an offset of {MEAN.cell(best)}; the fit is {fit} with --beside-remove-offset"
 
     def describe(self, names: Sequence[str]) -> Document:
-        """Describes the comparison: a table of the fits, and the start.
+        """Returns a document with a table of the fits, and a note about the start.
 
         Args:
             names: names of the runs.
@@ -153,14 +154,16 @@ class MeasuredComparison:
 def compare_log(
     log: MeasuredLog, runs: Sequence[RunResult], start: float | None = None, remove_offsets: bool = False
 ) -> MeasuredComparison:
-    """Aligns a log with runs of the same duration.
+    """Aligns a measured log with runs of the same duration, and compares them.
 
     Args:
-        start: time of the log at the start of the runs [s]; None for the start with the largest correlation.
-        remove_offsets: True to remove the offset from each signal, as the run with the largest correlation shows it.
+        log: the log.
+        runs: runs over the same road.
+        start: time of the log at the start of the runs [s]; None to find the start with the largest correlation.
+        remove_offsets: True to remove from each signal its mean difference from the run with the largest correlation.
 
     Raises:
-        InputError: log and runs have no common time, or a signal has no value in it.
+        InputError: log and runs do not overlap in time, or a signal has no value during the overlap.
     """
     several = [until_end(run) for run in runs]
     if min(len(one.time) for one in several) < LEAST:
@@ -185,12 +188,19 @@ def compare_log(
 
 
 def until_end(run: RunResult) -> Response:
-    """Returns MuJoCo's response until the run broke off."""
+    """Returns MuJoCo's response up to the time at which the run broke off; the whole response if it did not."""
     return run.physics if run.broke_off is None else run.physics.until(run.broke_off[1])
 
 
 def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Sequence[Signal]) -> Response:
-    """Returns measured signals over a run's time, at the instants of the coarser of the two."""
+    """Returns measured signals over the time of a run, at the sample times of the one with the larger sample period.
+
+    Args:
+        log: the log.
+        run: response of the run.
+        start: time of the log at the start of the run [s].
+        signals: signals to return.
+    """
     relative = log.time - start
     if log.step > run.time[1] - run.time[0]:
         during = (relative >= 0) & (relative <= run.time[-1])
@@ -202,7 +212,10 @@ def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Seque
 
 
 def fits(measured: Response, physics: Response) -> dict[str, SignalFit]:
-    """Compares measured signals with a run, by name of the signals that both have, at the measured instants within the run."""
+    """Returns the fits of a run to measured signals, by name, for the signals that both have.
+
+    Signals are compared at the measured times within the run.
+    """
     results: dict[str, SignalFit] = {}
     for name in measured.names:
         if name not in physics.names:
@@ -227,7 +240,7 @@ def _rms(values: Array) -> float:
 
 
 def _score(log: MeasuredLog, run: Response, start: float) -> float:
-    """Returns the mean correlation of the signals that log and run have, at a start of the log [s]."""
+    """Returns the mean correlation of the common signals of log and run, if the run starts at the time `start` of the log [s]."""
     signals = [one for one in run.signals if one.name in log.signals]
     ones = fits(_align_signals(log, run, start, signals), run).values() if signals else ()
     known = [one.correlation for one in ones if one.correlation is not None]
@@ -235,12 +248,14 @@ def _score(log: MeasuredLog, run: Response, start: float) -> float:
 
 
 def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]]:
-    """Returns the time of the log at which the run starts [s], by the largest correlation of the signals that both have.
+    """Finds the time of the log at which a run starts, by the largest correlation of their common signals.
 
-    The names of signals follow that correlate better with the opposite sign, at any start.
+    Log and run are first correlated at a common sample rate. Means are removed. Each signal is scaled by its rms over the run
+    and over the part of the log that the run covers. The start is then refined between the samples.
 
-    Log and run are correlated at one rate first. Each signal counts relative to its rms over the whole run and over the part of
-    the log that the run covers, without means. The start is then refined between the samples.
+    Returns:
+        Time of the log at the start of the run [s], and the names of signals that would correlate better with the opposite
+        sign.
     """
     from scipy.optimize import minimize_scalar
     from scipy.signal import correlate
@@ -252,7 +267,7 @@ def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]
     total, opposite = np.zeros(len(at) + len(grid) - 1), list[str]()
 
     def sums(values: Array, weights: Array) -> Array:
-        """Returns the sums of products over all shifts."""
+        """Returns the sums of products for all shifts between two signals."""
         return np.asarray(correlate(values, weights, mode="full", method="fft"))
 
     for name in (name for name in log.signals if name in run.names):

@@ -1,10 +1,12 @@
-"""The height of a bump at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
+"""Bump height at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
 
-Before anything breaks the response is proportional to the height, so the height is one over the share of the way to the end per
-metre. MuJoCo runs a bump just below it and one just above. Where they do not enclose the end, as with rotating bodies, curves,
-loads or noise, the share that the highest run without an end has reached tells where to look next.
+The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
+bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below
+this height and one slightly above. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
+two runs do not enclose it, the largest signal of the highest run below the limit determines the next height to try.
 
-With adjustable dampers it is the end of the analysis that has them: dampers leave a linear controller short at any height.
+With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at
+any height.
 """
 
 import math
@@ -25,27 +27,30 @@ from sim.runs.agreement import first_loose
 from sim.studies.validity.map_runs import MapRun, analysed_each, drive_bumps, largest_difference, shares, with_loads
 from synth.controller.controller import Controller
 
-WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enclose an end
-NEAR = 1.03  # factor within which another end may come first: a body that rotates moves an end by so much
-FURTHEST = 4.0  # factor on the predicted height, more than any vehicle should need
-ROUNDS = 8  # of runs, for an end that is not where it is predicted
-ANALYSES = 20  # of bumps, to find the height at which a vehicle with curves reaches an end
-OVER, CUTS = 0.8, 30  # share of the largest one from which on the rest of a run is left out, looked for at so many times
+WITHIN = 1.001  # the two MuJoCo runs have heights of the limit divided by this factor and multiplied by this factor
+NEAR = 1.03  # factor on the height within which another limit may be reached first, because bodies rotate
+FURTHEST = 4.0  # highest bump to try, relative to the predicted height
+ROUNDS = 8  # largest number of rounds of MuJoCo runs
+ANALYSES = (
+    20  # largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit
+)
+# A run ends early if all later signals are below OVER times the largest one, relative to the limits; CUTS times are checked.
+OVER, CUTS = 0.8, 30
 
 
 @dataclass(frozen=True)
 class RegimeEnd:
-    """End of the linear regime of one controller, over bumps of one length and speed.
+    """End of the linear regime of one controller, over bumps of one length at one speed.
 
     Attributes:
-        predicted: height of the end by analysis [m].
-        predicted_end: name of the predicted end in `REGIME_ENDS`.
-        near: names of the ends within `NEAR` of that height.
-        stays: highest bump in MuJoCo without an end [m]; 0 if every bump had one.
-        leaves: lowest bump in MuJoCo with an end [m], or infinity.
-        end: first end there, of `REGIME_ENDS`; empty without an end.
-        error: largest difference of the run at `stays` from the analysis, over any signal's peak, until a tyre may leave the road
-            within a step; 0 if it is not compared.
+        predicted: predicted bump height at which the first limit is reached [m].
+        predicted_end: name of this limit in `REGIME_ENDS`.
+        near: names of the limits that are reached within the factor `NEAR` of this height.
+        stays: height of the highest bump in MuJoCo over which no limit is reached [m]; 0 if there is no such bump.
+        leaves: height of the lowest bump in MuJoCo over which a limit is reached [m]; infinite if there is no such bump.
+        end: name of the first limit that is reached over this bump; empty if there is no such bump.
+        error: largest difference of the run at `stays` from the analysis, relative to the peak of a signal; 0 if the run is not
+            compared. The comparison ends when a tyre may lift off within a timestep.
     """
 
     predicted: float
@@ -58,22 +63,23 @@ class RegimeEnd:
 
     @property
     def confirmed(self) -> bool:
-        """Returns True if MuJoCo has an end, and it is the predicted one, or one as near."""
+        """True if MuJoCo reaches the predicted limit first, or another limit of `near`."""
         return self.end in self.near and self.stays > 0
 
     @property
     def found(self) -> float:
-        """Returns the height of the end in MuJoCo [m], midway between the two runs."""
+        """Bump height at which MuJoCo reaches the first limit [m], midway between the two runs."""
         return (self.stays + self.leaves) / 2
 
 
 def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump, time: Array) -> list[RegimeEnd | None]:
-    """Returns where the linear regime ends over bumps of this length and speed, or None if no allowed height has an end.
+    """Returns the end of the linear regime for each controller; None if no limit is reached at any allowed height.
 
     Args:
-        controllers: controllers whose loops are stable.
-        bump: bump from whose response all others are predicted.
-        time: equidistant sample times from 0 [s].
+        vehicle: the vehicle.
+        controllers: controllers with stable loops.
+        bump: bump whose length and speed are used; its response predicts those of other heights.
+        time: equidistant sample times from 0 [s], shape (T,).
     """
     ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
     below = [(i, end) for i, end in enumerate(ends) if end is not None and end.stays > 0]
@@ -87,7 +93,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     return ends
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
+@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow
 def enclose_ends(
     vehicle: Vehicle,
     controllers: Sequence[Controller],
@@ -96,17 +102,18 @@ def enclose_ends(
     loads: tuple[Load, ...] = (),
     within: float = WITHIN,
 ) -> list[RegimeEnd | None]:
-    """Returns the ends of the linear regime over bumps of N lengths and speeds, each enclosed by MuJoCo runs.
+    """Finds the bump height at which the linear regime ends, for N lengths and speeds, and encloses each by two MuJoCo runs.
 
     Args:
+        vehicle: the vehicle.
         controllers: N controllers.
-        bumps: bumps from whose responses all others are predicted.
-        time: equidistant sample times from 0 [s].
-        loads: loads on the body over every bump.
-        within: factor on the height, either way, between the runs.
+        bumps: N bumps, whose lengths and speeds are used; their responses predict those of other heights.
+        time: equidistant sample times from 0 [s], shape (T,).
+        loads: loads on the body over each bump.
+        within: factor from the limit to the heights of the two runs, see `WITHIN`.
 
     Returns:
-        An end for each bump, or None if no allowed height has one.
+        The end for each bump; None if no limit is reached at any allowed height.
     """
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
     for i, (response, used) in enumerate(_predict_ends(vehicle, controllers, bumps, loads, time)):
@@ -133,7 +140,7 @@ def enclose_ends(
 def _predict_ends(
     vehicle: Vehicle, controllers: Sequence[Controller], bumps: Sequence[Bump], loads: tuple[Load, ...], time: Array
 ) -> "list[PredictedResponse]":
-    """Returns the prediction of each controller over its bump. All searches take their next heights side by side."""
+    """Returns the prediction of each controller over its bump. The responses of all searches are computed simultaneously."""
     searches = [_search(vehicle, *both, loads) for both in zip(controllers, bumps, strict=True)]
     results, roads = dict[int, PredictedResponse](), {i: next(search) for i, search in enumerate(searches)}
     while roads:
@@ -147,16 +154,16 @@ def _predict_ends(
     return [results[i] for i in range(len(searches))]
 
 
-PredictedResponse = tuple[Response, Array]  # a response, and the share of the way to each end per metre of height, shape (E,)
+PredictedResponse = tuple[Response, Array]  # a response, and its values relative to each limit per metre of height, shape (E,)
 
 
 def _search(
     vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...]
 ) -> Generator[Road, Response, PredictedResponse]:
-    """Yields the roads of which it needs the response of the analysis, and returns the prediction.
+    """Generator that yields roads, receives their responses by analysis, and returns the prediction.
 
-    Curves make the analysis nonlinear, and a loop may lose its stability beyond some height. So with curves the lowest height is
-    looked for at which the analysis reaches an end.
+    A vehicle with linear springs and dampers needs one response. Otherwise, the analysis is nonlinear, and a loop may be
+    unstable above some height. The search then finds the lowest height at which the analysis reaches a limit.
     """
     height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
     while True:
@@ -178,17 +185,18 @@ def _search(
 
 
 def _is_open(end: RegimeEnd, within: float) -> bool:
-    """Returns True if an end is not enclosed yet, and may be at an allowed height."""
+    """Returns True if runs do not enclose the end yet, and the end may be at an allowed height."""
     highest = min(FURTHEST * end.predicted, HIGHEST / within**2)
     return end.leaves > end.stays * within**2 * (1 + 1e-9) and end.stays < highest
 
 
 def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> float:
-    """Returns the height to be looked at next [m].
+    """Returns the next height to try [m].
 
     Args:
-        whole: heights of bumps without an end, ascending, and the shares of the way to an end that they reached.
-        high: lowest height with an end [m], or infinity.
+        whole: heights of bumps over which no limit is reached [m], ascending, with their largest signal relative to its limit.
+        high: lowest height at which a limit is reached [m]; infinite if there is no such height.
+        within: factor from the limit to the heights of the two runs.
     """
     (before, share_before), (low, share) = whole[-2:]
     height = low + (1 - share) * (low - before) / (share - share_before) if share > share_before else math.inf
@@ -198,9 +206,9 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
 
 
 def _needed_samples(vehicle: Vehicle, controller: Controller, response: Response) -> int:
-    """Returns the number of samples after which a response is so much smaller than before that no end comes any more."""
+    """Returns the number of samples after which a response is too small to reach a limit."""
     count, most = len(response.time), shares(vehicle, controller, response).max()
-    if vehicle.implementation.has_measurement_noise:  # which is as large later
+    if vehicle.implementation.has_measurement_noise:  # noise does not decay
         return count
     for cut in range(count // CUTS, count - 1, max(1, count // CUTS)):
         rest = Response(response.time[cut:], response.signals, response.values[cut:])

@@ -1,14 +1,14 @@
-"""Map of validity: range of linear analysis over a grid of bumps, and the first event that ends it.
+"""Map of validity: the range of linear analysis over a grid of bumps, and the first limit that is reached beyond this range.
 
-Before the first event physics *is* linear, so the event and its time follow from the linear response alone; and that is
-proportional to the height of the bump. One linear response per length and speed predicts a whole column of heights, and the map
-is drawn from these predictions. MuJoCo confirms them in a few cells, chosen at random, and along the edge of the linear
-regime, which two runs enclose at each length and speed.
+Until the first limit is reached, the vehicle is linear. The limit and its time therefore follow from the linear response, which
+is proportional to the bump height. One linear response per length and speed predicts the cells of all heights, and the map
+shows these predictions. MuJoCo confirms them in a few random cells, and along the edge of the linear regime. At each length and
+speed, two runs enclose the height of the edge.
 
-With adjustable dampers a linear controller lacks force at once, at whatever height. The map therefore shows the share of missing
-force, and the first event ends the analysis *with* its dampers, the switched response, which is also proportional to the height.
-A curve departs from its line gradually: it counts from a stated share, `LEAVES`. Responses with curves or loads are not
-proportional to the height, so every cell has its own.
+With semi-active dampers, a linear controller lacks force at any height. The map then shows the share of missing force. Its
+analysis includes these dampers; this response is also proportional to the height. The characteristic of a nonlinear spring or
+damper departs gradually from its linearisation; it counts as a limit if the difference exceeds the share `LEAVES`. Responses
+with such characteristics or with loads are not proportional to the height, so each cell needs its own response.
 """
 
 import math
@@ -29,30 +29,30 @@ from sim.studies.validity.map_runs import MapRun, analyse_bumps, drive_bumps, sh
 from sim.studies.validity.regime_end import RegimeEnd, enclose_ends
 from synth.controller.controller import Controller, is_linear
 
-BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
-AT_ONCE = 64  # responses side by side
-FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # cells and edges that are run at least; their shares of all cells
-CLOSE = 1.1  # factor on the height
-WITHIN = 1.004  # factor on the height, either way, between the runs that enclose an edge
+BOUNDARY = 0.01  # relative change of the height; a cell is at a boundary if its prediction changes within this range
+AT_ONCE = 64  # number of responses that are computed simultaneously
+FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # smallest number of simulated cells and of edges, and their shares of all cells
+CLOSE = 1.1  # factor on the height within which a cell counts as near the edge
+WITHIN = 1.004  # factor from the height of the edge to the heights of the two runs that enclose it
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of the map, N of them, in the order of their bumps.
+    """The N cells of a map, in the order of their bumps.
 
     Attributes:
         vehicle: the vehicle.
         controller: the controller.
-        loads: loads on the body over every bump.
-        threshold: error with which linear analysis counts as valid, relative to the peak.
+        loads: loads on the body over each bump.
+        threshold: largest error for which linear analysis counts as valid, relative to the peak.
         bumps: bumps, one for each cell.
-        used: share of the way to each of `REGIME_ENDS` by analysis, shape (N, E).
-        predicted: first end by analysis, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
-        predicted_time: time of that end [s], infinite for none, shape (N,).
-        travel: largest deflection of any suspension by analysis [m], shape (N,).
-        driven: results of MuJoCo, by the index of the cell.
-        boundary: indices of those of them whose prediction differs at a height 1 % lower or higher.
-        ends: heights that MuJoCo encloses, by the index of a cell of their length and speed.
+        used: largest value relative to each limit in `REGIME_ENDS` by analysis, shape (N, E).
+        predicted: predicted first limit as an index into `REGIME_ENDS`, shape (N,); -1 if no limit is reached.
+        predicted_time: time of this limit [s], shape (N,); infinite if no limit is reached.
+        travel: largest suspension deflection by analysis [m], shape (N,).
+        driven: results of the MuJoCo runs, by index of the cell.
+        boundary: indices of the simulated cells whose prediction differs at a height 1 % lower or higher.
+        ends: bump heights that MuJoCo runs enclose, by index of a cell with the same length and speed.
     """
 
     vehicle: Vehicle
@@ -70,7 +70,7 @@ class Cells:
 
     @property
     def axes(self) -> tuple[GridAxis, ...]:
-        """Returns the axes of the map, the one that runs fastest last."""
+        """Axes of the map. The last axis changes fastest from cell to cell."""
         values = {name: tuple(sorted({getattr(bump, name) for bump in self.bumps})) for name in UNITS}
         first, second, *_ = self.bumps
         axes = [GridAxis(name, some) for name, some in values.items() if len(some) > 1]
@@ -78,22 +78,22 @@ class Cells:
 
     @property
     def fixed_text(self) -> str:
-        """Describes the quantities that are the same for all bumps."""
+        """Text with the quantities that are the same for all bumps, such as "a length of 2.5 m"."""
         varied = [axis.name for axis in self.axes]
         fixed = {name: getattr(self.bumps[0], name) for name in UNITS if name not in varied}
         return " and ".join(f"a {name} of {value:g} {UNITS[name]}" for name, value in fixed.items())
 
     def end_of(self, i: int) -> str:
-        """Returns the name of the predicted first end of a cell; empty without an end."""
+        """Returns the name of the predicted first limit of cell `i`; empty if no limit is reached."""
         return END_NAMES[self.predicted[i]] if self.predicted[i] >= 0 else ""
 
     def share(self, holds: Callable[[MapRun], bool]) -> float:
-        """Returns the share of the MuJoCo runs for which something holds."""
+        """Returns the share of the MuJoCo runs for which the function `holds` returns True."""
         return float(np.mean([holds(one) for one in self.driven.values()]))
 
     @property
     def short(self) -> str:
-        """Describes the share of missing force of adjustable dampers; empty if no force is missing."""
+        """Text about the share of force that semi-active dampers lack; empty if no force is missing."""
         some = [one.missing for one in self.driven.values() if one.missing > 0]
         if not some:
             return ""
@@ -103,32 +103,32 @@ class Cells:
 
     @cached_property
     def others(self) -> frozenset[int]:
-        """Returns the cells whose first event in MuJoCo is not the predicted one."""
+        """Indices of the cells in which MuJoCo first reaches another limit than predicted."""
         return frozenset(i for i, one in self.driven.items() if one.first != self.predicted[i])
 
     @property
     def agreement(self) -> float:
-        """Share of the cells that MuJoCo ran whose prediction was right."""
+        """Share of the simulated cells in which MuJoCo confirms the prediction."""
         return 1 - len(self.others) / len(self.driven)
 
     @property
     def unexplained(self) -> int:
-        """Cells whose prediction was wrong though they lie at no boundary."""
+        """Number of cells in which MuJoCo contradicts the prediction, although they are not at a boundary."""
         return len(self.others - self.boundary)
 
     @property
     def furthest(self) -> float:
-        """Returns the largest relative distance from a predicted end to a run that encloses it; 0 without any."""
+        """Largest relative distance between a predicted height of the edge and a run that encloses it; 0 without such runs."""
         both = [height / end.predicted for end in self.ends.values() for height in (end.stays, end.leaves)]
         return max((abs(share - 1) for share in both), default=0.0)
 
     @property
     def as_predicted(self) -> bool:
-        """Returns True if every end along the edge is the predicted one, and every first event away from a boundary."""
+        """True if MuJoCo confirms the predicted limit along the edge, and in all simulated cells that are not at a boundary."""
         return not self.unexplained and all(end.confirmed for end in self.ends.values())
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its cells say so
+@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow; its cells show this
 def validity(
     vehicle: Vehicle,
     controller: Controller,
@@ -139,19 +139,21 @@ def validity(
     every: bool = False,
     threshold: float = 0.05,
 ) -> Cells:
-    """Predicts the first end over every bump, and runs some of them in MuJoCo.
+    """Predicts the first limit over each bump of a grid, and simulates some of the bumps in MuJoCo.
 
     Args:
-        bumps: bumps of a grid.
-        time: equidistant sample times from 0 [s].
+        vehicle: the vehicle.
+        controller: the controller.
+        bumps: bumps of the grid.
+        time: equidistant sample times from 0 [s], shape (T,).
         progress: callback that receives the number of predicted cells.
-        loads: loads on the body over every bump.
-        every: True to run every cell in MuJoCo.
-        threshold: error with which linear analysis counts as valid, relative to the peak.
+        loads: loads on the body over each bump.
+        every: True to simulate all cells in MuJoCo.
+        threshold: largest error for which linear analysis counts as valid, relative to the peak.
     """
     used, predicted, when, travel = _predict_cells(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
-    borders = np.linspace(0, len(bumps), wanted + 1).astype(int)  # one at random out of so many parts of the grid
+    borders = np.linspace(0, len(bumps), wanted + 1).astype(int)  # parts of the grid, each with one random cell
     chosen = np.random.default_rng(0).integers(borders[:-1], borders[1:])
     runs = drive_bumps(vehicle, [(controller, with_loads(bumps[i], loads), len(time)) for i in chosen], time)
     boundary = set[int]()
@@ -168,9 +170,13 @@ def validity(
 
 
 def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:
-    """Returns the indices of some cells at the edge of the linear regime, at most one of each length and speed, evenly spread.
+    """Returns the indices of some evenly spread cells at the edge of the linear regime, at most one per length and speed.
 
-    That is where cells of this length and speed are on both sides of it, or one is within `CLOSE`.
+    An edge exists at a length and speed if cells are on both sides of it, or if a cell is within the factor `CLOSE` of it.
+
+    Args:
+        bumps: bumps of all N cells.
+        used: largest value relative to a limit in each cell, shape (N,).
     """
     columns, edges = dict[tuple[float, float], list[int]](), list[int]()
     for i, bump in enumerate(bumps):
@@ -191,8 +197,10 @@ def _predict_cells(
     loads: tuple[Load, ...],
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[Array, Array, Array, Array]:
-    """Returns `used`, `predicted`, `predicted_time` and `travel` of `Cells`, from responses to a metre, to which all else is
-    proportional, or from one of each bump.
+    """Returns `used`, `predicted`, `predicted_time` and `travel` of `Cells`.
+
+    If responses are proportional to the height, one response over a bump of 1 m predicts all heights. Otherwise, each bump has
+    its own response.
     """
     heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
     proportional = not (vehicle.parts.nonlinear or loads)

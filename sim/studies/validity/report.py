@@ -1,4 +1,4 @@
-"""Maps of validity and ends of the linear regime as documents, JSON, CSV and figures."""
+"""Output of maps of validity, and of ends of the linear regime: documents, JSON, CSV and figures."""
 
 import itertools
 import math
@@ -46,7 +46,7 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
-RUN_HEIGHT = Field[float]("height", float, ".5g")  # of a run, to repeat it
+RUN_HEIGHT = Field[float]("height", float, ".5g")  # with enough digits to repeat the run
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
@@ -60,7 +60,10 @@ ENDS: tuple[Field[OneEnd], ...] = (
 
 
 def write_csv(path: Path, cells: Cells) -> None:
-    """Writes a row per cell, in SI units; events that never happen, and results of MuJoCo where it was not run, are empty."""
+    """Writes a CSV file with a row per cell in SI units.
+
+    Entries are empty for limits that are not reached, and for results of MuJoCo in cells that were not simulated.
+    """
     rows, shares = _cells(cells), [f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}" for end in END_NAMES]
     last = [key for key in ("missing_force", "simulated") if key in rows[0]]
     first = [key for key in rows[0] if key not in last]
@@ -70,7 +73,7 @@ def write_csv(path: Path, cells: Cells) -> None:
 
 
 def _cells(cells: Cells) -> list[dict[str, Any]]:
-    """Returns a JSON object for each cell; the share of missing force only for a vehicle with adjustable dampers."""
+    """Returns a JSON object for each cell, with the share of missing force only if the vehicle has semi-active dampers."""
     dampers = any(math.isfinite(one.missing) for one in cells.driven.values())
     return [
         {
@@ -104,7 +107,7 @@ RECORD = Record[Cells](
 
 
 def describe(cells: Cells) -> Document:
-    """Returns a map as a document."""
+    """Returns the printed document about a map."""
     rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
@@ -124,7 +127,7 @@ def describe(cells: Cells) -> Document:
 
 
 def _loop_texts(cells: Cells) -> list[str]:
-    """Describes the parts of computer and actuators in linear analysis, and those in MuJoCo only; and a loop that is unstable."""
+    """Returns sentences about the implementation in linear analysis and in MuJoCo, and about an unstable loop."""
     how, stability, texts = cells.vehicle.implementation, cells.controller.certificate, list[str]()
     if cells.controller.law.acts and (linear := built_words(cells.vehicle)):
         texts.append(f"Linear analysis is of the implemented loop: {linear}.")
@@ -136,11 +139,12 @@ def _loop_texts(cells: Cells) -> list[str]:
 
 
 def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Document:
-    """Returns the maps of several controllers over the same bumps as a document with figures.
+    """Returns the document about the maps of several controllers over the same bumps, with figures.
 
     Args:
-        timestep: timestep of the physics [s].
-        without: noise and quantisation that the runs omit, after a comma.
+        maps: maps of the controllers.
+        timestep: timestep of the simulation [s].
+        without: text that excludes noise and quantisation, such as ", without its noise"; empty if the runs omit nothing.
     """
     size = " by ".join(f"{len(axis.values)} {axis.name}s" for axis in maps[0].axes)
     text = (
@@ -156,7 +160,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
 
 
 def verdicts(maps: Sequence[Cells]) -> list[Statement]:
-    """Returns statements on the maps of some controllers: those that are as predicted, and the others."""
+    """Returns statements about maps: one for the controllers whose map MuJoCo confirms, and one for the others."""
     statements = list[Statement]()
     for right in (True, False):
         if not (some := [one for one in maps if one.as_predicted == right]):
@@ -176,12 +180,15 @@ def verdicts(maps: Sequence[Cells]) -> list[Statement]:
 
 
 def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str], bump: Bump, where: str, runs: str) -> Document:
-    """Returns up to which height of a bump linear analysis is valid, for some controllers, as a document.
+    """Returns the document about the bump height up to which linear analysis is valid.
 
     Args:
-        wrong: names of the controllers without a claimed height, as their runs do not agree.
-        where: the road of these runs.
-        runs: duration and timestep of the runs over the bump.
+        vehicle: the vehicle.
+        ends: end of the linear regime for each controller.
+        wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
+        where: name of the road on which they disagree.
+        bump: bump whose length and speed were used.
+        runs: text with duration and timestep of the runs over the bump.
     """
     noise = f", without its {vehicle.implementation.noise_text}," if vehicle.implementation.has_measurement_noise else ""
     claimed = [(as_name(one.name), end) for one, end in ends if one.name not in wrong]
@@ -218,14 +225,15 @@ NOTHING = "#dcefdc"
 
 
 def envelope_figure(cells: Cells) -> Figure:
-    """Returns the map: colours show the predicted first end, the line where the regime ends, and markers what MuJoCo says.
+    """Returns the figure of a map.
 
-    With one axis, the shares of the way to each end are drawn.
+    Colours show the predicted first limit, a line shows the edge of the linear regime, and markers show the MuJoCo runs. A map
+    with one axis shows the largest response relative to each limit instead.
     """
     vehicle, axes = cells.vehicle, cells.axes
     if len(axes) == 1:
         return _line_figure(cells, axes[0])
-    # Height, or else length, is vertical, whatever order was asked for.
+    # The vertical axis is the height or, if it does not vary, the length, whatever the order of the options.
     shape = (len(axes[0].values), len(axes[1].values))
     turned = axes[1].name == "height" or axes[0].name == "speed"
     vertical, horizontal = (axes[1], axes[0]) if turned else (axes[0], axes[1])
@@ -254,7 +262,7 @@ ENCLOSED_HEIGHT = "MuJoCo: height enclosed by two runs"
 
 
 def _markers(cells: Cells, places: Array) -> list[Curve]:
-    """Returns markers of the cells that MuJoCo ran, at the places of all cells, shape (N, 2)."""
+    """Returns markers of the simulated cells. `places` contains the coordinates of all cells in the figure, shape (N, 2)."""
     within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, Marker], list[int]]()
     for i, one in cells.driven.items():
         kind: tuple[str, Marker] = ("no limit", "o")
@@ -269,7 +277,7 @@ def _markers(cells: Cells, places: Array) -> list[Curve]:
 
 
 def _marks(points: Array, label: str, marker: Marker) -> Curve:
-    """Returns markers at points, shape (N, 2): black, as those are legible on every colour of a map."""
+    """Returns markers at points, shape (N, 2). They are black, which is legible on all colours of a map."""
     return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 
@@ -284,7 +292,7 @@ def _figure(cells: Cells, xlabel: str, ylabel: str, curves: Sequence[Curve], gro
 
 
 def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
-    """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
+    """Returns the figure of a map with one axis: largest response relative to each limit, and markers of the MuJoCo runs."""
     x, used = np.array(axis.values), cells.used
     curves = [
         Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
@@ -299,7 +307,10 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
-    """Describes the vehicle's own limit that is the same either way; for a curve, the share off its line."""
+    """Returns a text with the value of a limit of the vehicle file, if it is the same in both directions.
+
+    For a nonlinear characteristic, the text contains the allowed difference from its linearisation.
+    """
     if end is CURVE:
         return f" (differs from its line by {100 * LEAVES:g} % of its largest force)"
     limits = [limit for limit in end.thresholds(vehicle) if not limit.sign]

@@ -1,1 +1,1 @@
-"""The metrics: those of the standards, and one file for each other one."""
+"""The metrics. `standard` contains those of the standards; every other metric has a file of its own."""

@@ -1,8 +1,8 @@
-"""Metrics of ride, travel, road holding, effort and angles, with a base for the metrics of each group of signals.
+"""Metrics of ride, travel, road holding, actuator effort and angles, with a base class for each group of signals.
 
-Ride is that of vertical accelerations of the body, also weighted by W_k of ISO 2631-1 to a_w. The work of an actuator in a step
-is exactly u[k] (s[k+1] - s[k]) for a force u that is held while the travel s changes. For a lagging force, which changes too, the
-mean of u[k] and u[k+1] counts.
+Ride metrics evaluate vertical accelerations of the body, unweighted or with the weighting W_k of ISO 2631-1 (a_w). If a force u
+is held during a step while the travel s changes, the work of the actuator is exactly u[k] (s[k+1] - s[k]). If the actuator has
+a lag, the force also changes during the step, so the mean of u[k] and u[k+1] is used.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ class RootMeanSquare(Metric):
 
 
 class Share(Metric):
-    """Share of time of what is added as counts."""
+    """Share of time in which a condition holds."""
 
     unit, over_runs, approximate = "-", MEAN, False
 
@@ -76,7 +76,7 @@ class Largest(Metric):
 
 
 class Angle(Metric):
-    """A number of an angle of the body under loads."""
+    """Base class for metrics of an angle of the body under loads."""
 
     unit, of, over_runs, loaded, approximate = "deg", "angles", LARGEST, True, False
     angles: tuple[str, ...] = (PITCH, ROLL)
@@ -90,7 +90,7 @@ class Angle(Metric):
 
 
 class Dive(Angle):
-    """Largest pitch angle, nose down."""
+    """Largest pitch angle with the nose down."""
 
     what, angles = "dive", (PITCH,)
 
@@ -99,7 +99,7 @@ class Dive(Angle):
 
 
 class Squat(Angle):
-    """Largest pitch angle, nose up."""
+    """Largest pitch angle with the nose up."""
 
     what, angles = "squat", (PITCH,)
 
@@ -118,7 +118,7 @@ class Roll(Angle):
 
 
 class FinalAngle(Angle):
-    """Angle at the end of the window, with its sign."""
+    """Angle at the end of the measurement, with its sign."""
 
     what, over_runs = "at_end", ROOT_MEAN_SQUARE
 
@@ -127,7 +127,7 @@ class FinalAngle(Angle):
 
 
 class Acceleration(Metric):
-    """A number of a vertical acceleration of the body. Those of points with a person come first, and alone count for it."""
+    """Base class for metrics of a vertical acceleration of the body. If points with a person exist, only they are compared."""
 
     unit, of, over_runs = "m/s2", "accelerations", LARGEST
 
@@ -141,7 +141,7 @@ class Acceleration(Metric):
 
 
 class RmsAcceleration(RootMeanSquare, Acceleration):
-    """Root mean square of the acceleration; of both sides of jumps: of their mean, and of half their difference."""
+    """Root mean square of the acceleration. At a jump, the mean square is that of the values on both sides."""
 
     def update(self, meter: Meter, totals: Totals) -> None:
         totals.add(squares(meter.midway[self.source]))
@@ -173,7 +173,7 @@ class WeightedRms(RootMeanSquare, Acceleration):
 
 
 class VibrationDose(Acceleration):
-    """Vibration dose value, VDV (6.3.2): (integral of a_w^4 over time)^(1/4)."""
+    """Vibration dose value, VDV (6.3.2): fourth root of the integral of a_w^4 over time."""
 
     what, unit = "vdv", "m/s1.75"
     expectation, accuracy = "for a VDV: the fourth root of its expected fourth power", "vdv is up to 8 % too high"
@@ -204,7 +204,7 @@ class TransientVibration(Acceleration):
 
 
 class Crest(Acceleration):
-    """Crest factor (6.2): largest |a_w| over its root mean square; 0 for a body at rest."""
+    """Crest factor (6.2): largest |a_w|, relative to the root mean square of a_w; 0 for a body at rest."""
 
     what, unit, accuracy = "crest", "-", "crest is from 7 % too low to 14 % too high"
 
@@ -222,7 +222,7 @@ class Crest(Acceleration):
 
 
 class Travel(Metric):
-    """A number of the deflection of a suspension."""
+    """Base class for metrics of a suspension deflection."""
 
     unit, of = "m", "suspensions"
 
@@ -232,19 +232,19 @@ class Travel(Metric):
 
 
 class RmsTravel(RootMeanSquare, Travel):
-    """Root mean square of the travel."""
+    """Root mean square of the suspension deflection."""
 
     headline = "travel"
 
 
 class PeakTravel(Largest, Travel):
-    """Largest travel, in bump or in rebound."""
+    """Largest suspension deflection, in bump or in rebound."""
 
     column = Column("peak travel", "mm", 1e3, change="travel", bars="Travel of the suspension", by_side=True)
 
 
 class AtStops(Share, Travel):
-    """Share of time at the bump stops."""
+    """Share of time in which the suspension is at a bump stop."""
 
     what = "at_stops"
     column = Column("at stops", "%", 100.0)
@@ -263,7 +263,7 @@ class AtStops(Share, Travel):
 
 
 class TyreLoad(Metric):
-    """A number of the load F = k_u (static - t) of a tyre that is extended by t; F is never negative."""
+    """Base class for metrics of a tyre load F = k_u (t_0 - t), with static deflection t_0 and extension t, where F >= 0."""
 
     unit, of = "-", "tyres"
 
@@ -277,7 +277,7 @@ class TyreLoad(Metric):
 
 
 class DynamicLoad(RootMeanSquare, TyreLoad):
-    """Dynamic load coefficient: rms(F - F_static) / F_static; with loads on the body, the standard deviation of F instead."""
+    """Dynamic load coefficient: rms(F - F_static) / F_static. With loads on the body, the standard deviation of F / F_static."""
 
     what, headline = "dynamic_load", "load"
     column = Column("dynamic load [-]", change="tyre load", praise=("hold", " the road"), bars="Dynamic tyre load")
@@ -297,7 +297,7 @@ class DynamicLoad(RootMeanSquare, TyreLoad):
 
 
 class OffGround(Share, TyreLoad):
-    """Share of time off the ground."""
+    """Share of time in which the tyre is off the ground."""
 
     what = "off_ground"
     column = Column("off the ground", "%", 100.0)
@@ -310,7 +310,7 @@ class OffGround(Share, TyreLoad):
 
 
 class Force(Metric):
-    """A number of the force of an actuator, of both sides of jumps."""
+    """Base class for metrics of an actuator force. At a jump, the values on both sides count."""
 
     unit, of, effort = "N", "actuators", True
 
@@ -344,7 +344,7 @@ class PeakForce(Largest, Force):
 
 
 class Work(Force):
-    """A number of the work of an actuator that acts in a suspension."""
+    """Base class for metrics of the work of an actuator in a suspension."""
 
     over_runs, approximate = MEAN, False
 
@@ -358,7 +358,7 @@ class Work(Force):
 
 
 class ControlPower(Work):
-    """Mean power into the suspension."""
+    """Mean power from the actuator into the suspension."""
 
     what, unit = "power", "W"
 
@@ -373,7 +373,7 @@ class ControlPower(Work):
 
 
 class ControlEnergy(Work):
-    """Energy put in, without recovery of what is taken out."""
+    """Energy from the actuator into the suspension, if the actuator cannot recover energy."""
 
     what, unit = "energy", "J"
 
@@ -383,10 +383,16 @@ class ControlEnergy(Work):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return totals.sum
 
-    def expected(self, random: "RandomSignals") -> Expectation:  # n samples are n - 1 steps
+    def expected(self, random: "RandomSignals") -> Expectation:  # window minus one step, because n samples have n - 1 steps
         return random.works[self.source][1] / random.timestep * (random.window - random.timestep), None
 
 
 def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns a signal's name with the metric instead of the common prefix, or behind the name if it lacks that prefix."""
+    """Returns the name of a metric: the metric replaces the common prefix of the signal, or follows the name of the signal.
+
+    Args:
+        signal: name of the signal.
+        common: signal whose name is the common prefix.
+        metric: name of the metric.
+    """
     return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
