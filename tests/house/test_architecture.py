@@ -85,7 +85,7 @@ ROOMS = {
     "sim.report": "models.document models.laws models.vehicle models.roads synth.analysis "
     "synth.controller synth.vehicle synth.command sim.drive sim.linear sim.observers sim.runs sim.studies sim.command",
     "sim.sweep": "sim.command",
-    "sim.__main__": "sim.studies",
+    "sim.__main__": "sim.studies sim.command",
 }
 OF_ALL = "models.common"
 # Ceilings of each package: its folders, on how many floors these stand, each on those below, and the arrows from one to another.
@@ -135,7 +135,7 @@ CORE = {  # package -> its modules that are core
     "synth.plant": "augmented double_double generalized loop numerics state_space units",
     "synth.vehicle": "design_problem designer",
 }
-MOST_CORE = 27_800  # lines of the core
+MOST_CORE = 17_400  # lines of code of the core, without docstrings, comments and blank lines
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
@@ -363,7 +363,7 @@ def test_the_core_imports_itself_alone():
         if MODULES[other].name != "__init__.py"
     }
     assert not knots, "name these in EXTENSIONS, and load them by their names"
-    assert sum(MODULES[module].read_bytes().count(b"\n") for module in core) <= MOST_CORE
+    assert sum(sources()[MODULES[module].relative_to(ROOT).as_posix()].code_lines for module in core) <= MOST_CORE
 
 
 def test_features_have_rows():

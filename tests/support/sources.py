@@ -30,6 +30,7 @@ class Source:
         texts: other texts in it of at least four words: messages, help and output; X replaces what an f-string inserts.
         classes: its public classes.
         formats: specification of each number that it formats to some digits, except in fields of tables and errors.
+        code_lines: number of its lines without docstrings, comments and blank lines.
     """
 
     imported: tuple[str, ...]
@@ -39,6 +40,7 @@ class Source:
     texts: tuple[str, ...]
     classes: tuple[str, ...]
     formats: tuple[str, ...]
+    code_lines: int
 
 
 @functools.cache
@@ -77,6 +79,16 @@ def _source(path: Path) -> Source:
         tuple(_texts(nodes)),
         tuple(node.name for node in nodes[ast.ClassDef] if not node.name.startswith("_")),
         tuple(_formats(tree)) if IN_DIGITS.search(written) else (),
+        _code_lines(written, documented),
+    )
+
+
+def _code_lines(written: str, documented: Iterable[Any]) -> int:
+    texts = [node.body[0] for node in documented if ast.get_docstring(node, clean=False) is not None]
+    within_texts = {line for text in texts for line in range(text.lineno, text.end_lineno + 1)}
+    return sum(
+        bool(line.strip()) and not line.lstrip().startswith("#") and number not in within_texts
+        for number, line in enumerate(written.splitlines(), 1)
     )
 
 
