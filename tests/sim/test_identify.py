@@ -257,10 +257,13 @@ rho = 300.0
 @pytest.mark.attack
 @pytest.mark.parametrize("seed", range(10))
 def test_friction_that_is_left_out_is_found(seed):
-    """If friction of 20 N is left out, residuals are not white."""
+    """If friction of 20 N is left out, residuals are not white, and friction is the first cause, within 5 N."""
     car = measurable(parse_vehicle(read_vehicle("quarter_car").text + FRICTION))
     of = identified([log(car, (BODY, HUB, TRAVEL), chirp(8, 0.0025), seed, step=0.0025)])
     assert not of.estimate.white
+    words = of.causes[0].words.split()
+    assert words[0] == "friction"
+    assert float(words[2]) == pytest.approx(20, abs=5)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(one, marks=pytest.mark.attack) for one in range(1, 10))])
