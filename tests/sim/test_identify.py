@@ -15,6 +15,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.logs.measured_log import read_measured_log
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.drive.__main__ import main as drive
+from sim.identify import main
 from sim.studies.identification.allowed import allowed_results
 from sim.studies.identification.columns import map_text
 from sim.studies.identification.estimate import Estimate, IdentificationProblem, estimate
@@ -363,3 +365,23 @@ def test_a_controller_on_the_vehicles_that_a_log_allows():
     assert one.bound is not None
     assert one.worst_bound is not None
     assert one.bound < one.worst_bound < 1.1 * one.bound
+
+
+def test_a_log_without_noise_is_no_evidence_against_the_vehicle(tmp_path):
+    """A log of `drive` is fitted to 1e-4 of its signals: that is said, the exit code is 0, and parameters are exact to 1e-4."""
+    assert drive(["--controller", "passive", "--class", "B", "--duration", "3", "--logs", str(tmp_path)]) == 0
+    [path] = tmp_path.glob("*.mcap")
+    assert main([str(path), "--fix", MASS]) == 0
+    of = identify([path], read_vehicle("quarter_car"), fix=[MASS])
+    assert max(of.estimate.noiseless.values()) < 1e-4
+    assert "there is no noise to test" in said(of)
+    assert all(of.estimate.values[name] == pytest.approx(P[name], rel=1e-4) for name in of.estimate.free)
+
+
+def test_a_channel_without_values_is_refused():
+    """A channel of NaN alone, or a road with a gap, is one line."""
+    right = log(CAR, (BODY, TRAVEL), chirp(2))
+    with pytest.raises(InputError, match=f"log: {BODY} has no value, only NaN; omit"):
+        with_values(right, **{BODY: np.full(len(right.road), np.nan)})
+    with pytest.raises(InputError, match="height or a force is missing"):
+        replace(right, road=np.where(np.arange(len(right.road))[:, None] == 5, np.nan, right.road))

@@ -43,6 +43,7 @@ FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move:
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
 BLOCK = 50_000  # samples whose derivatives are in memory together
 MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start
+NOISELESS = 1e-3  # residuals over a signal, each as rms, below which there is no noise to test
 POOR = 0.5  # share of a signal's mean square that a fit explains, below which other starts are tried
 
 
@@ -313,15 +314,28 @@ class Estimate:
     residuals: _Residuals = field(repr=False)
     x: Array = field(repr=False)
 
+    @cached_property
+    def noiseless(self) -> dict[str, float]:
+        """Largest rms of a signal's residuals over that of the signal, by name, for signals that the vehicle fits as exactly as
+        the steps of a simulation: their residuals are no evidence against it.
+        """
+        shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
+        return {name: share for name, share in shares.items() if share < NOISELESS}
+
     @property
     def white(self) -> bool:
-        """True if the residuals of all signals are white."""
-        return all(one.white for each in self.whiteness for one in each.values())
+        """True if the residuals of all signals are white, but for those without noise."""
+        return all(one.white or name in self.noiseless for each in self.whiteness for name, one in each.items())
+
+    @property
+    def coloured(self) -> bool:
+        """True if the residuals of a signal are not white."""
+        return not all(one.white for each in self.whiteness for one in each.values())
 
     @property
     def spread(self) -> Array:
         """Covariance of the logarithms that intervals use: the robust one if residuals are coloured."""
-        return self.covariance if self.white else self.robust
+        return self.robust if self.coloured else self.covariance
 
     @cached_property
     def deviations(self) -> dict[str, float]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,7 @@ class Experiment:
         from_rest: True if the vehicle starts at rest on the first height; else its state at the start is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
         forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.
+        road_held: True if each height is held midway to the next one over a step, as MuJoCo holds a road.
         start: time of the first sample in the log's own clock [s].
     """
 
@@ -61,7 +63,15 @@ class Experiment:
     from_rest: bool = False
     hubs: bool = False
     forces_held: bool = False
+    road_held: bool = False
     start: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.road).all() and np.isfinite(self.forces).all()):
+            raise InputError(f"{self.name}: a road height or a force is missing (NaN); divide the log there")
+        for one in self.channels:
+            if not one.counted.any():
+                raise InputError(f"{self.name}: {one.signal} has no value, only NaN; omit this channel")
 
     @property
     def time(self) -> Array:

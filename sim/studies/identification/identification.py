@@ -199,7 +199,7 @@ def identify_experiments(
         if result.ratios and set(result.ratios[name]) != {name}:
             continue
         if result.deviations[name] < SKEWED and name not in zero:
-            intervals[name] = Interval(*result.interval(name), "covariance" if result.white else "robust")
+            intervals[name] = Interval(*result.interval(name), "robust" if result.coloured else "covariance")
         else:
             intervals[name] = Interval(*profile(result, name), "profile")
     ended = tuple((one.name, fit) for log in hold_out for one, fit in _held_out(result, log))
@@ -226,6 +226,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
         for first, last in edges.reshape(-1, 2):
             if last - first >= LEAST:
                 channels = tuple(replace(each, values=each.values[first:last]) for each in one.channels)
+                channels = tuple(each for each in channels if each.counted.any())
                 experiments.append(
                     replace(
                         one, name=f"{one.name}, {rough(one.start + one.step * first)} s", road=one.road[first:last],

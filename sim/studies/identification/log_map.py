@@ -71,6 +71,7 @@ class LogKeys(Section):
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
     start: Annotated[str, Choice("state at the first sample", (ESTIMATED, REST))] = ESTIMATED
     forces: Annotated[str, Choice("forces between samples", (STRAIGHT, HELD))] = STRAIGHT
+    heights: Annotated[str, Choice("heights of the road between samples", (STRAIGHT, HELD))] = STRAIGHT
     first: Annotated[float, SI("s", "time of the log at which it counts from", -1e9)] = -1e9
     last: Annotated[float, SI("s", "time until which it counts", -1e9)] = 1e12
     rate: Annotated[float, SI("1/s", "samples per second of a log without times", 0.0)] = 0.0

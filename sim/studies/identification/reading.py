@@ -49,7 +49,7 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         log = replace(log, signals={name: sensors[name].sign * values for name, values in log.signals.items()})
     else:
         sensors = {name: replace(sensors.get(name, SensorSection()), offset=0.0) for name in log.signals}
-        keys = replace(keys, forces=HELD)  # a controller's computer holds them over a step
+        keys = replace(keys, forces=HELD, heights=HELD)  # a controller's computer and MuJoCo hold them over a step
     with error_in(f"log {path}:"):
         return _stretches(log, vehicle, keys, sensors)
 
@@ -131,6 +131,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
                 rest,
                 hubs,
                 keys.forces == HELD,
+                keys.heights == HELD and not hubs,
                 float(time[0] + step * first),
             )
         )

@@ -175,7 +175,13 @@ def statements(of: Identification) -> Iterator[Statement]:
             f"Another vehicle fits as well: {values}. These signals cannot tell suspension and tyre apart; measure the hub.",
             "ends",
         )
-    if estimate.white:
+    if estimate.noiseless:
+        largest = at_most(max(estimate.noiseless.values()))
+        words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
+        yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms: there is no noise to test.", "holds")
+    if {*estimate.noiseless} == {*estimate.problem.signals}:
+        pass
+    elif estimate.white:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
     else:
         yield Statement(
