@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from models.common.arrays import Array
@@ -20,12 +21,13 @@ from sim.identify import main
 from sim.studies.identification.allowed import allowed_results
 from sim.studies.identification.columns import map_text
 from sim.studies.identification.estimate import Estimate, IdentificationProblem, estimate
-from sim.studies.identification.experiment import Channel, Experiment
+from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment
 from sim.studies.identification.identification import Identification, changed, identify, identify_experiments
 from sim.studies.identification.log_map import LogMap
+from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction
 from sim.studies.identification.reading import LogStretches
-from sim.studies.identification.report import statements
+from sim.studies.identification.report import statements, vehicle_text
 
 BODY, HUB, TRAVEL = "sprung_acceleration", "unsprung_acceleration", "suspension_deflection"
 NOISE = {BODY: 0.1, HUB: 0.5, TRAVEL: 2e-4}  # rms [m/s2, m/s2, m]
@@ -365,6 +367,66 @@ def test_a_controller_on_the_vehicles_that_a_log_allows():
     assert one.bound is not None
     assert one.worst_bound is not None
     assert one.bound < one.worst_bound < 1.1 * one.bound
+
+
+DAHL = {"force": 60.0, "rho": 2000.0, "damping": 800.0}
+BOUC_WEN = {"alpha": 6e4, "A": 1.0, "beta": 1e6, "gamma": 1e5, "exponent": 2.0, "k0": 500.0, "c0": 800.0}
+
+
+def on_a_dyno(kind: str, numbers: Mapping[str, float]) -> Vehicle:
+    """Returns the car with a part."""
+    lines = [f"{key} = {value}" for key, value in numbers.items()]
+    return parse_vehicle(read_vehicle("quarter_car").text + "\n".join(["", "[parts.mr]", f'kind = "{kind}"', *lines]))
+
+
+@pytest.mark.parametrize(("kind", "numbers"), [("dahl", DAHL), ("bouc_wen", BOUC_WEN)])
+def test_the_force_of_a_part_over_a_motion(kind, numbers):
+    """Its force is that of a solver with error control within 0.3 % of the peak, the error of steps; so are its derivatives."""
+    from scipy.integrate import solve_ivp
+
+    car, time = on_a_dyno(kind, numbers), 0.01 * np.arange(150)
+    travel = 0.012 * np.sin(2 * np.pi * 1.3 * time)
+    one = Experiment("dyno", 0.01, travel[:, None], np.zeros((150, 0)), (Channel(FORCE, time),), from_rest=True, part="mr")
+    force = PartPrediction(one, lambda values: changed(car, values))
+    d, part = CubicSpline(time, travel), car.elements[0].part
+    z = solve_ivp(lambda t, z: part.rate(d(t), d(t, 1), z), (0, time[-1]), [0.0], "LSODA", time, rtol=1e-9, atol=1e-12).y.T
+    exact = part.pull(travel, d(time, 1), z)
+    sizes = {f"mr.{key}": value for key, value in numbers.items()}
+    of = force(sizes, sizes, None, [0.0])
+    assert np.abs(of.values[:, 0] - exact).max() < 3e-3 * np.abs(exact).max()
+    for i, (name, value) in enumerate(sizes.items()):
+        ends = [force({**sizes, name: value * (1 + side * 1e-4)}, {}, None, [0.0], False).values for side in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2e-4 * value)
+        assert np.abs(of.by_parameter[i] - slope).max() <= 1e-4 * np.abs(slope).max(), name
+
+
+def test_a_dyno_log_gives_the_numbers_of_a_part(tmp_path):
+    """Dahl's numbers are within four standard deviations, and are written to the vehicle file; the car's own are not free.
+
+    Of Bouc and Wen's numbers, the scale of the state is named as not determined.
+    """
+    car, random = on_a_dyno("dahl", DAHL), np.random.default_rng(3)
+    travel = 5 * chirp(4, top=3.0)
+    empty = Experiment(
+        "dyno", 0.01, travel[:, None], np.zeros((len(travel), 0)), (Channel(FORCE, travel),), from_rest=True, part="mr"
+    )
+    force = PartPrediction(empty, lambda _: car)({}, {}, None, [0.0], False).values[:, 0] + random.standard_normal(len(travel))
+    rows = zip(empty.time, 1e3 * travel, force, strict=True)
+    path, log_map = tmp_path / "dyno.csv", tmp_path / "map.toml"
+    path.write_text("\n".join(["time [s],x [mm],load cell [N]", *(f"{t:.2f},{x:.9f},{f:.6f}" for t, x, f in rows)]))
+    log_map.write_text(f'part = "mr"\n[signals.{EXTENSION}]\ncolumn = "x"\n[signals.{FORCE}]\ncolumn = "load cell"\n')
+    first = on_a_dyno("dahl", {name: 1.5 * value for name, value in DAHL.items()})
+    of = identify([path], first, log_map)
+    assert {*of.intervals} == {f"mr.{name}" for name in DAHL}
+    assert of.estimate.white
+    assert np.abs(deviations_off(of.estimate, {f"mr.{name}": value for name, value in DAHL.items()})).max() < 4
+    again = parse_vehicle(vehicle_text(of, [path])).elements[0]
+    assert again.numbers["mr.force"][0] == pytest.approx(60, rel=0.05)
+    assert of.estimate.values["mr.rho"] == pytest.approx(again.numbers["mr.rho"][0])
+    scale = identify(
+        [path], on_a_dyno("bouc_wen", {"alpha": 60.0, "A": 2000.0, "beta": 2000.0, "gamma": 0.0}), log_map, ["mr.exponent"]
+    )
+    assert scale.estimate.held == ("mr.alpha",)
 
 
 def test_a_log_without_noise_is_no_evidence_against_the_vehicle(tmp_path):

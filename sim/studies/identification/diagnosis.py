@@ -20,6 +20,7 @@ from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.common.printed import brief
 from sim.studies.identification.estimate import Estimate, IdentificationProblem
+from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.prediction import continuous_model
 from sim.studies.identification.whiteness import autoregressive
 
@@ -73,7 +74,7 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
         delays = [channel.delay for channel in one.channels]
         predicted = prediction(problem.first, {}, start, delays, False).values
         correlations = np.array([[_correlation(channel.values, column) for column in predicted.T] for channel in one.channels])
-        units = [problem.vehicle.kind.possible[channel.signal].unit for channel in one.channels]
+        units = [signal_units(problem.vehicle.kind)[channel.signal] for channel in one.channels]
         for i, channel in enumerate(one.channels):
             own, both = correlations[i, i], channel.counted & np.isfinite(predicted[:, i])
             ratio = float(channel.values[both].std() / max(predicted[both, i].std(), 1e-300)) if both.any() else 1.0
@@ -156,7 +157,7 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
             )
         yield partial(_gain_words, signal), _weighted(of, gains)
         if not all(one.offset_estimated for each in experiments for one in each.channels if one.signal == signal):
-            unit = problem.vehicle.kind.possible[signal].unit
+            unit = signal_units(problem.vehicle.kind)[signal]
             yield partial(_size_words, f"{signal} with an offset of {{}} {unit}"), _weighted(of, shifts)
     for place in problem.vehicle.kind.suspensions:
         words = partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}")
@@ -211,6 +212,8 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
     """Returns the signals of an experiment under 1 N of friction in a suspension, shape (T, q), for each of `SETS_IN`."""
     prediction = of.problem.predictions[i]
     one, vehicle = prediction.experiment, prediction.vehicle(of.values)
+    if one.part:  # it is the part's own
+        return [np.zeros_like(of.predicted[i]) for _ in SETS_IN]
     model, deflection = vehicle.linear_model, vehicle.kind.deflection_of(force)
     travel = prediction.signals([deflection], of.values, of.residuals.start(of.x, i))[:, 0]
     A, Bv, _, C, Dv, _ = continuous_model(vehicle, one)
@@ -274,7 +277,7 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
     """Returns the experiments in which a wheel leaves the road, by number, with True for the samples in the air."""
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
-        if one.experiment.hubs:
+        if one.experiment.hubs or one.experiment.part:
             continue
         vehicle = one.vehicle(of.values)
         limits = vehicle.kind.static_tyre_deflection(vehicle.parameters)

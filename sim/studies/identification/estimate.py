@@ -27,6 +27,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, list_names
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
@@ -75,6 +76,7 @@ class IdentificationProblem:
         from_zero: names of those that may be zero; others have logarithms.
         experiments: the experiments.
         known: combinations that are known from elsewhere.
+        lowest: least values above 0 that some parameters may have, such as an exponent.
     """
 
     vehicle: Vehicle
@@ -83,11 +85,15 @@ class IdentificationProblem:
     experiments: tuple[Experiment, ...]
     known: tuple[Known, ...] = ()
     from_zero: frozenset[str] = frozenset()
+    lowest: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @cached_property
     def predictions(self) -> tuple[LogPrediction, ...]:
         """The prediction of each experiment."""
-        return tuple(LogPrediction(one, lambda values: self.change(self.vehicle, values)) for one in self.experiments)
+        kinds = (PartPrediction if one.part else LogPrediction for one in self.experiments)
+        return tuple(
+            kind(one, lambda values: self.change(self.vehicle, values)) for kind, one in zip(kinds, self.experiments, strict=True)
+        )
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
@@ -503,9 +509,13 @@ def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: i
         return of.reduced(x, noise)[0]
 
     least = np.full(len(x), -np.inf)
-    least[[name in of.problem.from_zero for name in of.unknowns.free] + [False] * (len(x) - len(of.unknowns.free))] = 0.0
+    for i, name in enumerate(of.unknowns.free):
+        if name in of.problem.from_zero:
+            least[i] = 0.0
+        elif name in of.problem.lowest:
+            least[i] = of.coordinate(name, of.problem.lowest[name])
     bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
-    inside = np.maximum(x, np.where(np.isfinite(least), 1e-3, -np.inf))  # a start on a bound stalls
+    inside = np.maximum(x, least + 1e-3)  # a start on a bound stalls
     by_unknown: Any = jacobian
     return least_squares(
         lambda x, noise: of.reduced(x, noise)[1], inside, by_unknown, args=(noise,), max_nfev=most, **bounds, **TOLERANCES
@@ -654,7 +664,8 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     ends = list[float | None]()
     for sign in (-1, 1):
         low, high = 0.0, sign * min(NORMAL * deviation, FURTHEST)
-        last = sign * (best if from_zero and sign < 0 else FURTHEST)
+        floor = own.coordinate(name, of.problem.lowest[name]) if name in of.problem.lowest else best - FURTHEST
+        last = sign * (FURTHEST if sign > 0 else best - (0.0 if from_zero else floor))
         high = high if abs(high) < abs(last) else last
         while (above := excess(high)) < 0 and high != last:
             low, high = high, sign * min(2 * abs(high), abs(last))

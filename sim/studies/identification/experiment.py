@@ -1,4 +1,7 @@
-"""Experiments: one stretch of a measured log, at equidistant times, with what drove the vehicle and what sensors measured."""
+"""Experiments: one stretch of a measured log, at equidistant times, with what drove the vehicle and what sensors measured.
+
+On a dyno a part of the vehicle is moved alone: its extension is given, and its force is measured.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,6 +10,15 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.kinds.kind import VehicleKind
+
+EXTENSION, FORCE = "part_extension", "part_force"  # of a part on a dyno, from rest; positive if it pulls the ends together
+OF_PARTS: Mapping[str, str] = {EXTENSION: "m", FORCE: "N"}  # units
+
+
+def signal_units(kind: VehicleKind) -> dict[str, str]:
+    """Returns the units of all signals that a log may have, by name."""
+    return {**{name: one.unit for name, one in kind.possible.items()}, **OF_PARTS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +63,7 @@ class Experiment:
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
         forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.
         road_held: True if each height is held midway to the next one over a step, as MuJoCo holds a road.
+        part: name of a force element of the vehicle that a dyno moves alone; empty for a vehicle. The road is its extension then.
         start: time of the first sample in the log's own clock [s].
     """
 
@@ -64,6 +77,7 @@ class Experiment:
     hubs: bool = False
     forces_held: bool = False
     road_held: bool = False
+    part: str = ""
     start: float = 0.0
 
     def __post_init__(self) -> None:

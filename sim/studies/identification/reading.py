@@ -13,8 +13,9 @@ from models.common.extensions import FEATURES
 from models.common.logs.measured_log import MeasuredLog, read_measured_log
 from models.common.printed import brief, percent, rough
 from models.vehicle.vehicle import Vehicle
-from sim.studies.identification.experiment import Channel, Experiment
-from sim.studies.identification.log_map import FLAT, HELD, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment, signal_units
+from sim.studies.identification.log_map import FLAT, HELD, LOGGED, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+from sim.studies.identification.part_prediction import part_of
 
 GAP = 5  # steps without a sample, beyond which a new stretch begins with a state of its own
 LEAST = 50  # samples of a stretch
@@ -40,7 +41,7 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         InputError: the log cannot be read, lacks what the map asks for, or cannot be right.
     """
     keys, sensors = log_map.of(path), log_map.sensors
-    units = {name: one.unit for name, one in vehicle.kind.possible.items()}
+    units = signal_units(vehicle.kind)
     columns = {name: one.column for name, one in sensors.items() if one.column}
     own = path.suffix.lower() == ".mcap" and not columns
     log = _own_log(path, units) if own else read_measured_log(path, units, keys.rate or None, columns)
@@ -84,8 +85,11 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     for name, one in log.signals.items():
         values[name][places] = one[within]
     model, kind = vehicle.linear_model, vehicle.kind
-    heights = [wheel.road_displacement for wheel in kind.wheels]
-    driving = {name: values.pop(name) for name in (*heights, *model.inputs) if name in values}
+    heights, acting, readable = [wheel.road_displacement for wheel in kind.wheels], model.inputs, model.outputs
+    if keys.part:
+        part_of(vehicle, keys.part)
+        heights, acting, readable, keys = [EXTENSION], (), (FORCE,), replace(keys, road=LOGGED)
+    driving = {name: values.pop(name) for name in (*heights, *acting) if name in values}
     for name in [name for name in values if name.startswith("road_velocity")]:
         values.pop(name)
         remarks.append(f"{name} is left out: the heights of the road drive the vehicle")
@@ -95,19 +99,19 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         driving |= {name: values.pop(name) for name in heights if name in values}
     count = places[-1] + 1
     road, origin = _road(keys, vehicle, driving, heights, time[0] + step * np.arange(count))
-    forces = np.stack([driving.get(name, np.zeros(count)) for name in model.inputs], axis=-1)
+    forces = np.array([driving.get(name, np.zeros(count)) for name in acting]).reshape(len(acting), count).T
     if not values:
-        raise InputError(f"no measured signal; give a column of one of {list_names(model.outputs[:6])}")
-    unknown = [name for name in values if name not in model.outputs]
+        raise InputError(f"no measured signal; give a column of one of {list_names(readable[:6])}")
+    unknown = [name for name in values if name not in readable]
     if unknown:
         raise InputError(f"{list_names(unknown)} cannot be compared; omit it")
     for name in list(values):
-        values[name], more = _counted(name, values[name], kind.possible[name].unit)
+        values[name], more = _counted(name, values[name], signal_units(kind)[name])
         remarks += more
         if np.isfinite(values[name]).sum() < LEAST:
             remarks.append(f"{name} is left out: fewer than {LEAST} of its samples count")
             values.pop(name)
-    inputs, more = _filled(np.hstack([road, forces]), [*heights, *model.inputs])
+    inputs, more = _filled(np.hstack([road, forces]), [*heights, *acting])
     remarks += more + _slow(inputs[:, : len(heights)], step, hubs)
     experiments = list[Experiment]()
     for first, last in _runs(np.asarray(np.isfinite(inputs).all(axis=1))):
@@ -131,7 +135,8 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
                 rest,
                 hubs,
                 keys.forces == HELD,
-                keys.heights == HELD and not hubs,
+                keys.heights == HELD and not hubs and not keys.part,
+                keys.part,
                 float(time[0] + step * first),
             )
         )
