@@ -3,12 +3,15 @@
 Logs are predicted exactly for a vehicle of known parameters, and noise from a seed is added. So every claim is on the estimate.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
 import pytest
+from mcap.writer import Writer
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
@@ -357,6 +360,55 @@ def test_a_log_in_parquet(tmp_path, monkeypatch):
     monkeypatch.setattr("models.common.table.MOST_BYTES", 100)
     with pytest.raises(InputError, match="cut it, or resample it"):
         read_measured_log(tmp_path / "log.parquet", {TRAVEL: "m"})
+
+
+def check_recording(path: Path, acceleration: str, travel: str) -> None:
+    """Asserts that a recording has sin(t) g, and 10 t mm at every other time, at the times of the former."""
+    read = read_measured_log(path, {BODY: "m/s2", TRAVEL: "m"}, None, {BODY: acceleration, TRAVEL: travel})
+    np.testing.assert_allclose(read.time, 0.01 * np.arange(101), atol=1e-9)
+    np.testing.assert_allclose(read.signals[BODY], 9.80665 * np.sin(read.time), atol=1e-9)
+    np.testing.assert_allclose(read.signals[TRAVEL], 1e-2 * read.time, atol=1e-9)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_foreign_mcap_file(tmp_path, own):
+    """Channels in JSON are columns topic.field, at their own times or at those of the log; other encodings are named."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        imu, pot = (writer.register_channel(topic, "json", 0) for topic in ("/body/imu", "/pot"))
+        for i in range(101):
+            time = {"time": 0.01 * i} if own else {}
+            moment = 10**18 + (i if own else i * 10**7)
+            message = {**time, "acc": {"z": float(np.sin(0.01 * i))}, "valid": True, "frame": "body"}
+            writer.add_message(imu, moment, json.dumps(message).encode(), moment)
+            if i % 2 == 0:
+                writer.add_message(pot, moment, json.dumps({**time, "travel": 0.1 * i}).encode(), moment)
+        writer.finish()
+    check_recording(path, "body.imu.acc.z [g]", "pot.travel [mm]")
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_message(writer.register_channel("/imu", "cdr", 0), 1, b"1", 1)
+        writer.finish()
+    with pytest.raises(InputError, match="channels in cdr cannot be read"):
+        read_measured_log(path, {BODY: "m/s2"})
+
+
+@pytest.mark.extra
+def test_an_mdf4_file(tmp_path):
+    """Channels of groups with different clocks are columns with their units; a file that is not MDF4 is refused."""
+    mdf = pytest.importorskip("asammdf")
+    time = 0.01 * np.arange(101)
+    with mdf.MDF(version="4.10") as file:
+        file.append([mdf.Signal(np.sin(time), time, unit="g", name="AccZ")])
+        file.append([mdf.Signal(10 * time[::2], time[::2], unit="mm", name="shock/front")])
+        file.save(tmp_path / "log.mf4")
+    check_recording(tmp_path / "log.mf4", "AccZ", "shock.front")
+    (tmp_path / "no.mf4").write_bytes(b"no MDF4")
+    with pytest.raises(InputError, match="not an MDF4 file, or is damaged"):
+        read_measured_log(tmp_path / "no.mf4", {BODY: "m/s2"})
 
 
 def test_a_controller_on_the_vehicles_that_a_log_allows():

@@ -60,7 +60,7 @@ class MeasuredLog:
 def read_measured_log(
     path: Path, units: Mapping[str, str], rate: float | None = None, columns: Mapping[str, str] = {}
 ) -> MeasuredLog:
-    """Reads the columns of a file that are named like signals: .csv, .txt, .lvm, .mat, .xlsx or .parquet.
+    """Reads the columns of a file that are named like signals: .csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4 or .mcap.
 
     Times count from the first sample if they are times of day, or follow from the rate.
 

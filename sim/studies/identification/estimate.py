@@ -322,9 +322,7 @@ class Estimate:
 
     @cached_property
     def noiseless(self) -> dict[str, float]:
-        """Largest rms of a signal's residuals over that of the signal, by name, for signals that the vehicle fits as exactly as
-        the steps of a simulation: their residuals are no evidence against it.
-        """
+        """Largest rms of residuals over that of the signal, by name, for signals that are fitted as exactly as steps allow."""
         shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
         return {name: share for name, share in shares.items() if share < NOISELESS}
 
