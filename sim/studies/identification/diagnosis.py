@@ -1,9 +1,9 @@
 """Causes of a misfit by name: a delay, a factor, a sign, an offset, friction, a tyre's damping, lift-off, a resonance.
 
 A cause moves the predicted signals in a known direction g. The size of the cause is the least-squares coefficient of the
-residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains. This is
-the score statistic (Lagrange multiplier) of a further parameter over the number of residuals. The cause with the largest statistic
-comes first, and the others are then tested again.
+residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains. This
+is the score statistic (Lagrange multiplier) of a further parameter over the number of residuals. The cause with the largest
+statistic comes first, and the others are then tested again.
 
 Friction sets in over a displacement (Dahl). The best of several is used, as a short one alone misses a friction that a small
 motion does not overcome.
