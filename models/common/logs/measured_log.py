@@ -151,7 +151,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         keys = {name_key(given.name), name_key(given.text)}
         ones = [one for one in headings if {name_key(one.name), name_key(one.text)} & keys]
         if name in columns:  # other brackets belong to the name
-            known = [[one for one in (each.unit, given.unit) if one and unit_size(one, one)] for each in ones]
+            known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
             raise InputError(f"{columns_in_words(ones)} are all {name}; rename all but one")

@@ -43,7 +43,8 @@ FAR = 100.0  # deviance above that of a solution, from which a start does not le
 FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move: a factor of 8000
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
 BLOCK = 50_000  # samples whose derivatives are in memory together
-MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start
+MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start or from a near solution
+WARM = 4  # rounds from a near solution
 NOISELESS = 1e-3  # residuals over a signal, each as rms, below which there is no noise to test
 POOR = 0.5  # share of a signal's mean square that a fit explains, below which other starts are tried
 
@@ -488,11 +489,15 @@ def _first(of: _Residuals, shift: Array | None = None) -> Array:
     return x
 
 
-def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
-    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate."""
+def _solve(of: _Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST) -> tuple[Array, dict[str, float], float]:
+    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate.
+
+    Args:
+        rounds: number of rounds at most, of at most so many evaluations each.
+    """
     noise = of.noise(x)
-    for _ in range(ROUNDS):
-        x = _least_squares(of, x, noise)
+    for _ in range(rounds):
+        x = _least_squares(of, x, noise, most)
         before, noise = noise, of.noise(x)
         if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
             break
@@ -647,23 +652,27 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     i, own = of.free.index(name), of.residuals
     others, warm = tuple(one for one in of.free if one != name), {0.0: np.delete(of.x, i)}
     rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
+    levels = {0.0: -rise}
     size = own.sizes(of.values)[name]
     deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # of the unknown
-    from_zero, best = name in of.problem.from_zero, of.x[i]
+    from_zero, best = name in of.problem.from_zero, own.coordinate(name, of.values[name])
 
     def excess(shift: float) -> float:
+        if shift in levels:
+            return levels[shift]
         value = own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift))
         # Known values stay first values, so that the unknowns of the others keep their meaning.
         fixed = _Residuals(replace(of.problem, first={**own.fixed, name: value}), others, {})
-        solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))])
+        solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))], WARM, FEW)
         warm[shift] = solution[0]
-        return solution[2] - of.deviance - rise
+        levels[shift] = solution[2] - of.deviance - rise
+        return levels[shift]
 
     ends = list[float | None]()
     for sign in (-1, 1):
         low, high = 0.0, sign * min(NORMAL * deviation, FURTHEST)
-        floor = own.coordinate(name, of.problem.lowest[name]) if name in of.problem.lowest else best - FURTHEST
-        last = sign * (FURTHEST if sign > 0 else best - (0.0 if from_zero else floor))
+        least = own.coordinate(name, of.problem.lowest[name]) if name in of.problem.lowest else -FURTHEST
+        last = FURTHEST - best if sign > 0 else (0.0 if from_zero else least) - best
         high = high if abs(high) < abs(last) else last
         while (above := excess(high)) < 0 and high != last:
             low, high = high, sign * min(2 * abs(high), abs(last))
