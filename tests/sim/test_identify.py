@@ -499,3 +499,18 @@ def test_a_channel_without_values_is_refused():
         with_values(right, **{BODY: np.full(len(right.road), np.nan)})
     with pytest.raises(InputError, match="height or a force is missing"):
         replace(right, road=np.where(np.arange(len(right.road))[:, None] == 5, np.nan, right.road))
+
+
+def test_a_log_whose_times_are_too_coarse_for_its_road(tmp_path):
+    """Values in mm under a heading in m, times rounded to 0.1 s and a road at 4 Hz: each is one line that says what to do."""
+    time = np.sort(np.random.default_rng(2).uniform(0, 12, 120))
+    lines = ["t_s,road_displacement_m,d1_m", *(f"{t:.1f},{0.015 * np.sin(25 * t):.6f},{5 * np.cos(25 * t):.5f}" for t in time)]
+    path, log_map = tmp_path / "session.csv", tmp_path / "map.toml"
+    path.write_text("\n".join(lines))
+    head = '[signals.road_displacement]\ncolumn = "road_displacement_m"\n[signals.suspension_deflection]\ncolumn = '
+    log_map.write_text(f'{head}"d1_m"\n')
+    with pytest.raises(InputError, match=r"moves by .* in mm, write its unit in the map"):
+        identify([path], CAR, log_map)
+    log_map.write_text(f'{head}"d1_m [mm]"\n')
+    with pytest.raises(InputError, match=r"rad of the road.s .*: the road.s phase is not known; export times with more"):
+        identify([path], CAR, log_map)

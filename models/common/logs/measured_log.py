@@ -36,12 +36,14 @@ class MeasuredLog:
         time: ascending times of the samples, in the log's own clock [s], shape (n,).
         signals: measured values in SI units, shape (n,), by name of the signal; NaN where a cell is missing.
         remarks: columns that are left out, and units that are assumed.
+        rounded: number of samples that are left out because their time is that of the sample before: times are rounded.
     """
 
     source: str
     time: Array
     signals: Mapping[str, Array]
     remarks: tuple[str, ...] = ()
+    rounded: int = 0
 
     @cached_property
     def step(self) -> float:
@@ -124,7 +126,7 @@ def read_measured_log(
         for name, one in signals.items():
             if np.isfinite(one).sum() < LEAST:
                 raise InputError(f"{columns_in_words([used[name]])} has less than {LEAST} numbers; remove the column")
-        return MeasuredLog(str(path), time[new], signals, tuple(remarks))
+        return MeasuredLog(str(path), time[new], signals, tuple(remarks), int(len(new) - new.sum()))
 
 
 def is_time(heading: Heading) -> bool:
