@@ -25,6 +25,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, list_names, short_repr
 from models.common.logs.lvm import MAGIC, lvm_text
+from models.common.logs.recordings import MDF_SUFFIXES, mcap_rows, mdf_rows
 from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
 from models.common.units import unit_size
 
@@ -214,7 +215,7 @@ def table_text(path: Path) -> str:
 
     Text files are UTF-8, otherwise Windows-1252. In LabVIEW files, headings contain the units. Other files become lines with
     tabs. A spreadsheet (.xlsx) gives the sheet with a table, otherwise its first sheet. A MATLAB file (.mat) gives its arrays,
-    and a Parquet file (.parquet) its columns of numbers.
+    and a Parquet file (.parquet) its columns of numbers. Recordings (MDF4, .mf4, and MCAP, .mcap) give their channels.
 
     Raises:
         InputError: the package for spreadsheets is not installed, or the file is too large. Also if several sheets contain a
@@ -224,6 +225,8 @@ def table_text(path: Path) -> str:
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:
         most = f"at most {MOST_BYTES // 10**6} MB are read"
         raise InputError(f"the file has {size // 10**6} MB, but {most}; cut it, or resample it at a lower rate")
+    if suffix == ".mcap" or suffix in MDF_SUFFIXES:
+        return _tab_text((mcap_rows if suffix == ".mcap" else mdf_rows)(path))
     if suffix == ".parquet":
         return _tab_text(_parquet_rows(path))
     if suffix == ".xlsx":

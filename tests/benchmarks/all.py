@@ -32,7 +32,7 @@ class Rows:
 def main() -> int:
     """Runs the goals and prints the table; returns the exit code."""
     table, folder = Rows(), Path(__file__).parent
-    files = [str(folder / name) for name in ("bench_commands.py", "bench_speed.py")]
+    files = [str(folder / name) for name in ("bench_commands.py", "bench_identify.py", "bench_speed.py")]
     quiet = ["-q", "--tb=no", "--no-summary", "--benchmark-disable-gc", "--benchmark-columns=median", "-p", "no:cacheprovider"]
     code = pytest.main([*quiet, "-m", "goal", *files], plugins=[table])
     print(f"\n{'':<70} {'ratio':>6} {'goal':>6}  {'range':<14} {'noise':>6}", *table.rows, sep="\n")

@@ -153,7 +153,7 @@ ride metrics and their expectation                             3358   1277      
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       545    318     96
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              2938    362    178
+identification from measured logs                              3237    527    215
     sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1317    371     33
@@ -177,7 +177,7 @@ commands that drive                                            1109    989    42
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5249   1603
+house, pages, benchmarks                                          0   5382   1604
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

@@ -45,13 +45,14 @@ for packages, module, *rest in json.loads(sys.argv[1]):
             found.append((exit.code, out.getvalue(), err.getvalue()))
 print(json.dumps(found))
 """
-NONE = ("matplotlib", "ray", "python_calamine", "pyopencrg")
+NONE = ("matplotlib", "ray", "python_calamine", "pyopencrg", "asammdf")
 EXTRAS = [  # missing packages, the extra, and a command that needs one of them
     (NONE, "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
     (NONE, "report", ["sim.report"]),
     (NONE, "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
     (NONE, "excel", ["sim.drive", "--controller", "passive", "--road", "road.xlsx"]),
     (NONE, "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
+    (NONE, "mdf", ["sim.identify", "log.mf4", "--columns"]),
     (("jinja2",), "report", ["sim.report"]),
 ]
 

@@ -36,12 +36,14 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
+        rounded: number of samples that are omitted because their time equals the time before, as times are rounded.
     """
 
     source: str
     time: Array
     signals: Mapping[str, Array]
     remarks: tuple[str, ...] = ()
+    rounded: int = 0
 
     @cached_property
     def step(self) -> float:
@@ -60,7 +62,7 @@ class MeasuredLog:
 def read_measured_log(
     path: Path, units: Mapping[str, str], rate: float | None = None, columns: Mapping[str, str] = {}
 ) -> MeasuredLog:
-    """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx or .parquet.
+    """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4 or .mcap.
 
     Times of day, and times that follow from the sample rate, are relative to the first sample.
 
@@ -129,7 +131,7 @@ def read_measured_log(
         for name, one in signals.items():
             if np.isfinite(one).sum() < LEAST:
                 raise InputError(f"{columns_in_words([used[name]])} has less than {LEAST} numbers; remove the column")
-        return MeasuredLog(str(path), time[new], signals, tuple(remarks))
+        return MeasuredLog(str(path), time[new], signals, tuple(remarks), int(len(new) - new.sum()))
 
 
 def is_time(heading: Heading) -> bool:
@@ -156,7 +158,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         keys = {name_key(given.name), name_key(given.text)}
         ones = [one for one in headings if {name_key(one.name), name_key(one.text)} & keys]
         if name in columns:  # brackets with other content belong to the name
-            known = [[one for one in (each.unit, given.unit) if one and unit_size(one, one)] for each in ones]
+            known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
             raise InputError(f"{columns_in_words(ones)} are all {name}; rename all but one")

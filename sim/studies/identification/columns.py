@@ -136,6 +136,9 @@ def _lines(
     else:
         yield f"road = {toml_value(UNKNOWN)}      # no heading names the road: the acceleration of the hub drives the body"
     yield 'start = "estimated"   # or "rest"'
+    if any("mujoco" in one.column.lower().split() for each in sections.values() for one in each):
+        yield 'heights = "held"      # over a step, as drive holds the road and the forces'
+        yield 'forces = "held"'
     if not timed:
         yield "rate = 100.0          # samples per second, to be corrected: no heading names the time"
     for signal, guesses in sections.items():

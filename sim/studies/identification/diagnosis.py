@@ -1,7 +1,12 @@
-"""Causes of a misfit by name: a delay, a factor, a sign, friction, a tyre's damping, lift-off, a resonance.
+"""Causes of a misfit by name: a delay, a factor, a sign, an offset, friction, a tyre's damping, lift-off, a resonance.
 
 A cause moves the predicted signals in a known direction g. The size of the cause is the least-squares coefficient of the
-residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains.
+residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains. This
+is the score statistic (Lagrange multiplier) of a further parameter over the number of residuals. The cause with the largest
+statistic comes first, and the others are then tested again.
+
+Friction sets in over a displacement (Dahl). The best of several is used, as a short one alone misses a friction that a small
+motion does not overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +20,7 @@ from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.common.printed import brief
 from sim.studies.identification.estimate import Estimate, IdentificationProblem
+from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.prediction import continuous_model
 from sim.studies.identification.whiteness import autoregressive
 
@@ -53,7 +59,7 @@ class Cause:
     deviations: float
 
 
-FULL = 0.01  # of the largest speed: below it friction is a straight line, so that noise has none
+SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which a friction sets in, over the largest travel
 
 
 def check_columns(problem: IdentificationProblem) -> list[str]:
@@ -68,7 +74,7 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
         delays = [channel.delay for channel in one.channels]
         predicted = prediction(problem.first, {}, start, delays, False).values
         correlations = np.array([[_correlation(channel.values, column) for column in predicted.T] for channel in one.channels])
-        units = [problem.vehicle.kind.possible[channel.signal].unit for channel in one.channels]
+        units = [signal_units(problem.vehicle.kind)[channel.signal] for channel in one.channels]
         for i, channel in enumerate(one.channels):
             own, both = correlations[i, i], channel.counted & np.isfinite(predicted[:, i])
             ratio = float(channel.values[both].std() / max(predicted[both, i].std(), 1e-300)) if both.any() else 1.0
@@ -134,14 +140,14 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]
-        gains = [np.zeros_like(one) for one in of.predicted]
+        gains, shifts = ([np.zeros_like(one) for one in of.predicted] for _ in range(2))
         lag = _lag(of, signal)
         for k, (one, predicted) in enumerate(zip(experiments, of.predicted, strict=True)):
             if signal in one.signals:
                 i = one.signals.index(signal)
                 values = np.nan_to_num(predicted[:, i])
                 late[k][:, i] = np.interp(one.time - lag, one.time, values) - values
-                gains[k][:, i] = values - values.mean()
+                gains[k][:, i], shifts[k][:, i] = values - values.mean(), 1.0
         if signal not in problem.delayed and lag:
             yield (
                 partial(
@@ -150,12 +156,13 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
                 _weighted(of, late),
             )
         yield partial(_gain_words, signal), _weighted(of, gains)
+        if not all(one.offset_estimated for each in experiments for one in each.channels if one.signal == signal):
+            unit = signal_units(problem.vehicle.kind)[signal]
+            yield partial(_size_words, f"{signal} with an offset of {{}} {unit}"), _weighted(of, shifts)
     for place in problem.vehicle.kind.suspensions:
-        pushed = [_friction(of, i, place.force) for i in range(len(problem.predictions))]
-        yield (
-            partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}"),
-            _weighted(of, pushed),
-        )
+        words = partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}")
+        each = [_friction(of, i, place.force) for i in range(len(problem.predictions))]
+        yield from ((words, _weighted(of, list(pulled))) for pulled in zip(*each, strict=True))
     parameters = {one.name for one in problem.vehicle.kind.parameters}
     for name in sorted(one for one in parameters if one.startswith("tyre_damping")):
         if name not in of.free and not problem.vehicle.parts.nonlinear:
@@ -169,6 +176,8 @@ def _size_words(words: str, coefficient: float) -> str:
 
 def _gain_words(signal: str, coefficient: float) -> str:
     factor = 1 + coefficient
+    if abs(factor + 1) < NEAR:
+        return f"{signal} with the opposite sign"
     named = next((f": it seems to be {words}" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
     return f"{signal} as {brief(factor)} times what its unit says{named}"
 
@@ -199,23 +208,42 @@ def _weighted(of: Estimate, moved: list[Array]) -> Array:
     return np.concatenate([*rows, np.zeros(len(of.problem.known))])
 
 
-def _friction(of: Estimate, i: int, force: str) -> Array:
-    """Returns the signals of an experiment under 1 N of friction in a suspension, shape (T, q)."""
+def _friction(of: Estimate, i: int, force: str) -> list[Array]:
+    """Returns the signals of an experiment under 1 N of friction in a suspension, shape (T, q), for each of `SETS_IN`."""
     prediction = of.problem.predictions[i]
     one, vehicle = prediction.experiment, prediction.vehicle(of.values)
+    if one.part:  # it is the part's own
+        return [np.zeros_like(of.predicted[i]) for _ in SETS_IN]
     model, deflection = vehicle.linear_model, vehicle.kind.deflection_of(force)
     travel = prediction.signals([deflection], of.values, of.residuals.start(of.x, i))[:, 0]
-    speed = np.gradient(travel, one.step)
-    # The force pulls the ends together as they move apart.
-    pull = np.clip(speed / max(FULL * float(np.abs(speed).max()), 1e-12), -1.0, 1.0)
     A, Bv, _, C, Dv, _ = continuous_model(vehicle, one)
     column = one.road.shape[1] + model.inputs.index(force)
     n = len(A)
     M = np.zeros((n + 1, n + 1))
     M[:n, :n], M[:n, n] = A, Bv[:, column]
     whole = linalg.expm(M * one.step)
-    x = recursion(whole[:n, :n], np.outer(-pull, whole[:n, n]))
-    return x @ C.T + np.outer(-pull, Dv[:, column])
+    each = list[Array]()
+    for pull in dahl_friction(travel, max(float(np.abs(travel).max()), 1e-12) * np.array(SETS_IN)).T:
+        # The force pulls the ends together as they move apart.
+        x = recursion(whole[:n, :n], np.outer(-pull, whole[:n, n]))
+        each.append(x @ C.T + np.outer(-pull, Dv[:, column]))
+    return each
+
+
+def dahl_friction(travel: Array, lengths: Array) -> Array:
+    """Returns friction relative to its largest over a travel, shape (T, m): w' = (v - |v| w) / length, with w from 0.
+
+    Args:
+        travel: shape (T,).
+        lengths: displacements over which the friction sets in, in the unit of the travel, shape (m,).
+    """
+    sign = np.sign(np.diff(travel))
+    pull, first = np.zeros((len(travel), len(lengths))), 0
+    for last in (*(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)):  # between reversals the solution is exact
+        moved = np.abs(travel[first + 1 : last + 1, None] - travel[first])
+        pull[first + 1 : last + 1] = sign[first] + (pull[first] - sign[first]) * np.exp(-moved / lengths)
+        first = last
+    return pull
 
 
 def _by_parameter(of: Estimate, name: str) -> list[Array]:
@@ -249,7 +277,7 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
     """Returns the experiments in which a wheel leaves the road, by number, with True for the samples in the air."""
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
-        if one.experiment.hubs:
+        if one.experiment.hubs or one.experiment.part:
             continue
         vehicle = one.vehicle(of.values)
         limits = vehicle.kind.static_tyre_deflection(vehicle.parameters)

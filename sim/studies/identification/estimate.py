@@ -27,6 +27,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, list_names
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
@@ -42,7 +43,9 @@ FAR = 100.0  # deviance above that of a solution, from which a start does not le
 FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move: a factor of 8000
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
 BLOCK = 50_000  # samples whose derivatives are in memory together
-MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start
+MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start or from a near solution
+WARM = 4  # rounds from a near solution
+NOISELESS = 1e-3  # residuals over a signal, each as rms, below which there is no noise to test
 POOR = 0.5  # share of a signal's mean square that a fit explains, below which other starts are tried
 
 
@@ -74,6 +77,7 @@ class IdentificationProblem:
         from_zero: names of those that may be zero; others have logarithms.
         experiments: the experiments.
         known: combinations that are known from elsewhere.
+        lowest: least values above 0 that some parameters may have, such as an exponent.
     """
 
     vehicle: Vehicle
@@ -82,11 +86,15 @@ class IdentificationProblem:
     experiments: tuple[Experiment, ...]
     known: tuple[Known, ...] = ()
     from_zero: frozenset[str] = frozenset()
+    lowest: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @cached_property
     def predictions(self) -> tuple[LogPrediction, ...]:
         """The prediction of each experiment."""
-        return tuple(LogPrediction(one, lambda values: self.change(self.vehicle, values)) for one in self.experiments)
+        kinds = (PartPrediction if one.part else LogPrediction for one in self.experiments)
+        return tuple(
+            kind(one, lambda values: self.change(self.vehicle, values)) for kind, one in zip(kinds, self.experiments, strict=True)
+        )
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
@@ -313,15 +321,26 @@ class Estimate:
     residuals: _Residuals = field(repr=False)
     x: Array = field(repr=False)
 
+    @cached_property
+    def noiseless(self) -> dict[str, float]:
+        """Largest rms of residuals over that of the signal, by name, for signals that are fitted as exactly as steps allow."""
+        shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
+        return {name: share for name, share in shares.items() if share < NOISELESS}
+
     @property
     def white(self) -> bool:
-        """True if the residuals of all signals are white."""
-        return all(one.white for each in self.whiteness for one in each.values())
+        """True if the residuals of all signals are white, but for those without noise."""
+        return all(one.white or name in self.noiseless for each in self.whiteness for name, one in each.items())
+
+    @property
+    def coloured(self) -> bool:
+        """True if the residuals of a signal are not white."""
+        return not all(one.white for each in self.whiteness for one in each.values())
 
     @property
     def spread(self) -> Array:
         """Covariance of the logarithms that intervals use: the robust one if residuals are coloured."""
-        return self.covariance if self.white else self.robust
+        return self.robust if self.coloured else self.covariance
 
     @cached_property
     def deviations(self) -> dict[str, float]:
@@ -470,11 +489,15 @@ def _first(of: _Residuals, shift: Array | None = None) -> Array:
     return x
 
 
-def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
-    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate."""
+def _solve(of: _Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST) -> tuple[Array, dict[str, float], float]:
+    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate.
+
+    Args:
+        rounds: number of rounds at most, of at most so many evaluations each.
+    """
     noise = of.noise(x)
-    for _ in range(ROUNDS):
-        x = _least_squares(of, x, noise)
+    for _ in range(rounds):
+        x = _least_squares(of, x, noise, most)
         before, noise = noise, of.noise(x)
         if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
             break
@@ -489,9 +512,13 @@ def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: i
         return of.reduced(x, noise)[0]
 
     least = np.full(len(x), -np.inf)
-    least[[name in of.problem.from_zero for name in of.unknowns.free] + [False] * (len(x) - len(of.unknowns.free))] = 0.0
+    for i, name in enumerate(of.unknowns.free):
+        if name in of.problem.from_zero:
+            least[i] = 0.0
+        elif name in of.problem.lowest:
+            least[i] = of.coordinate(name, of.problem.lowest[name])
     bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
-    inside = np.maximum(x, np.where(np.isfinite(least), 1e-3, -np.inf))  # a start on a bound stalls
+    inside = np.maximum(x, least + 1e-3)  # a start on a bound stalls
     by_unknown: Any = jacobian
     return least_squares(
         lambda x, noise: of.reduced(x, noise)[1], inside, by_unknown, args=(noise,), max_nfev=most, **bounds, **TOLERANCES
@@ -625,22 +652,27 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     i, own = of.free.index(name), of.residuals
     others, warm = tuple(one for one in of.free if one != name), {0.0: np.delete(of.x, i)}
     rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
+    levels = {0.0: -rise}
     size = own.sizes(of.values)[name]
     deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # of the unknown
-    from_zero, best = name in of.problem.from_zero, of.x[i]
+    from_zero, best = name in of.problem.from_zero, own.coordinate(name, of.values[name])
 
     def excess(shift: float) -> float:
+        if shift in levels:
+            return levels[shift]
         value = own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift))
         # Known values stay first values, so that the unknowns of the others keep their meaning.
         fixed = _Residuals(replace(of.problem, first={**own.fixed, name: value}), others, {})
-        solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))])
+        solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))], WARM, FEW)
         warm[shift] = solution[0]
-        return solution[2] - of.deviance - rise
+        levels[shift] = solution[2] - of.deviance - rise
+        return levels[shift]
 
     ends = list[float | None]()
     for sign in (-1, 1):
         low, high = 0.0, sign * min(NORMAL * deviation, FURTHEST)
-        last = sign * (best if from_zero and sign < 0 else FURTHEST)
+        least = own.coordinate(name, of.problem.lowest[name]) if name in of.problem.lowest else -FURTHEST
+        last = FURTHEST - best if sign > 0 else (0.0 if from_zero else least) - best
         high = high if abs(high) < abs(last) else last
         while (above := excess(high)) < 0 and high != last:
             low, high = high, sign * min(2 * abs(high), abs(last))

@@ -1,4 +1,7 @@
-"""Experiments: one stretch of a measured log, at equidistant times, with what drove the vehicle and what sensors measured."""
+"""Experiments: one stretch of a measured log, at equidistant times, with what drove the vehicle and what sensors measured.
+
+On a dyno a part of the vehicle is moved alone: its extension is given, and its force is measured.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,6 +9,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
+from models.kinds.kind import VehicleKind
+
+EXTENSION, FORCE = "part_extension", "part_force"  # of a part on a dyno, from rest; positive if it pulls the ends together
+OF_PARTS: Mapping[str, str] = {EXTENSION: "m", FORCE: "N"}  # units
+
+
+def signal_units(kind: VehicleKind) -> dict[str, str]:
+    """Returns the units of all signals that a log may have, by name."""
+    return {**{name: one.unit for name, one in kind.possible.items()}, **OF_PARTS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +62,8 @@ class Experiment:
         from_rest: True if the vehicle starts at rest on the first height; else its state at the start is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
         forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.
+        road_held: True if each height is held midway to the next one over a step, as MuJoCo holds a road.
+        part: name of a force element of the vehicle that a dyno moves alone; empty for a vehicle. The road is its extension then.
         start: time of the first sample in the log's own clock [s].
     """
 
@@ -61,7 +76,16 @@ class Experiment:
     from_rest: bool = False
     hubs: bool = False
     forces_held: bool = False
+    road_held: bool = False
+    part: str = ""
     start: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.road).all() and np.isfinite(self.forces).all()):
+            raise InputError(f"{self.name}: a road height or a force is missing (NaN); divide the log there")
+        for one in self.channels:
+            if not one.counted.any():
+                raise InputError(f"{self.name}: {one.signal} has no value, only NaN; omit this channel")
 
     @property
     def time(self) -> Array:

@@ -1,6 +1,6 @@
 """Identification of a vehicle from logs: what is free, the estimate, what it is worth, and the vehicle that results."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, alike, short_repr
 from models.common.printed import rough
+from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
 from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
@@ -32,6 +33,7 @@ from sim.studies.identification.reading import LEAST, LogStretches, read_experim
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
 
+LOWEST = 1e-6  # a positive number may be smaller; a range that begins above this limits the search
 UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are free without --free
 SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0
 SKEWED = 0.2  # standard deviation of a logarithm from which the interval comes from the profile of the likelihood
@@ -101,18 +103,22 @@ def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
     return with_sample(replace(vehicle, curves=curves) if vehicle.curves else vehicle, values)
 
 
-def free_parameters(vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[str] = ()) -> dict[str, float]:
+def free_parameters(
+    vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[str] = (), parts: Collection[str] = ("",)
+) -> dict[str, float]:
     """Returns the first values of the free parameters: masses, inertias, stiffnesses and dampings that the file has above zero.
 
     Args:
         fix: names that keep their values.
         free: further names; a damping that the file has as zero starts at a small value.
+        parts: names of the parts whose logs are given, with an empty one for logs of the vehicle. A part on a dyno has its
+            numbers free, but for those of a voltage. If all logs are of parts, the parameters of the vehicle are not free.
 
     Raises:
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.
     """
     units = {one.name: one.unit for one in vehicle.kind.parameters}
-    numbers = _numbers(vehicle)
+    numbers = {name: value for name, (value, _) in element_numbers(vehicle).items()}
     given = {**{one.name: one.usual or 0.0 for one in vehicle.kind.parameters}, **vehicle.parameters, **numbers}
     for name in (*fix, *free):
         if name not in given:
@@ -120,7 +126,9 @@ def free_parameters(vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[st
     for name in fix:
         if name in free:
             raise InputError(f"{name} is fixed and free; give it once")
-    first = {name: value for name, value in vehicle.parameters.items() if units.get(name) in UNITS and value > 0}
+    first = {name: value for name, value in vehicle.parameters.items() if "" in parts and units.get(name) in UNITS and value > 0}
+    own = {name: value for name, value in numbers.items() if name.split(".")[0] in parts and value > 0}
+    first |= {name: value for name, value in own.items() if "volt" not in name and not name.endswith(".bandwidth")}
     first |= {name: given[name] for name in free}
     for name in free:
         if first[name] < 0:
@@ -130,9 +138,9 @@ def free_parameters(vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[st
     return {name: value for name, value in first.items() if name not in fix}
 
 
-def _numbers(vehicle: Vehicle) -> dict[str, float]:
-    """Returns the numbers of force elements by NAME.key."""
-    return {key: value for element in vehicle.elements for key, (value, _) in element.numbers.items()}
+def element_numbers(vehicle: Vehicle) -> dict[str, tuple[float, SI]]:
+    """Returns the numbers of force elements, each with its unit and range, by NAME.key."""
+    return {key: one for element in vehicle.elements for key, one in element.numbers.items()}
 
 
 def _small(vehicle: Vehicle, name: str, units: Mapping[str, str]) -> float:
@@ -183,10 +191,12 @@ def identify_experiments(
     seed: int = 0,
 ) -> Identification:
     """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
-    first = free_parameters(vehicle, fix, free)
     experiments = tuple(one for log in logs for one in log.experiments)
-    zero = frozenset(name for name in free if not {**vehicle.parameters, **_numbers(vehicle)}.get(name))
-    problem = IdentificationProblem(vehicle, changed, first, experiments, log_map.known, zero)
+    first = free_parameters(vehicle, fix, free, {one.part for one in experiments})
+    numbers = element_numbers(vehicle)
+    zero = frozenset(name for name in free if not vehicle.parameters.get(name) and not numbers.get(name, (0.0,))[0])
+    lowest = {name: numbers[name][1].low for name in first if name in numbers and numbers[name][1].low > LOWEST}
+    problem = IdentificationProblem(vehicle, changed, first, experiments, log_map.known, zero, lowest)
     remarks = [one for log in logs for one in log.remarks] + check_columns(problem)
     result = estimate(problem, tuple(first), seed)
     if air := airborne(result):
@@ -199,7 +209,9 @@ def identify_experiments(
         if result.ratios and set(result.ratios[name]) != {name}:
             continue
         if result.deviations[name] < SKEWED and name not in zero:
-            intervals[name] = Interval(*result.interval(name), "covariance" if result.white else "robust")
+            low, high = result.interval(name)
+            method = "robust" if result.coloured else "covariance"
+            intervals[name] = Interval(max(low, lowest.get(name, low)), high, method)
         else:
             intervals[name] = Interval(*profile(result, name), "profile")
     ended = tuple((one.name, fit) for log in hold_out for one, fit in _held_out(result, log))
@@ -226,6 +238,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
         for first, last in edges.reshape(-1, 2):
             if last - first >= LEAST:
                 channels = tuple(replace(each, values=each.values[first:last]) for each in one.channels)
+                channels = tuple(each for each in channels if each.counted.any())
                 experiments.append(
                     replace(
                         one, name=f"{one.name}, {rough(one.start + one.step * first)} s", road=one.road[first:last],

@@ -14,13 +14,13 @@ MOST = 60.0  # s of an experiment that is simulated
 def difference_in_mujoco(of: Estimate) -> dict[str, float]:
     """Returns the largest difference of MuJoCo from the prediction, over each signal's peak, of the first experiment.
 
-    It is empty if forces act there, or the road is unknown: no law repeats the forces of a log.
+    It is empty if forces act there, a part is alone on a dyno, or the road is unknown: no law repeats the forces of a log.
     """
     from sim.runs.run import run_controllers
     from synth.vehicle.designer import design
 
     one, prediction = of.problem.experiments[0], of.problem.predictions[0]
-    if one.hubs or one.forces.any():
+    if one.hubs or one.part or one.forces.any():
         return {}
     count, steps = min(len(one.road), round(MOST / one.step)), max(1, int(np.ceil(one.step / TIMESTEP - 1e-9)))
     vehicle = prediction.vehicle(of.values)

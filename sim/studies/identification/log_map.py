@@ -26,6 +26,7 @@ from models.common.files import parse_toml, read_text
 from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Integer, ReadBy, Section, Text, read
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.estimate import Known
+from sim.studies.identification.experiment import signal_units
 
 ESTIMATE = "estimate"
 LOGGED, FLAT, UNKNOWN = "logged", "flat", "unknown"
@@ -71,6 +72,8 @@ class LogKeys(Section):
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
     start: Annotated[str, Choice("state at the first sample", (ESTIMATED, REST))] = ESTIMATED
     forces: Annotated[str, Choice("forces between samples", (STRAIGHT, HELD))] = STRAIGHT
+    heights: Annotated[str, Choice("heights of the road between samples", (STRAIGHT, HELD))] = STRAIGHT
+    part: Annotated[str, Text("part of the vehicle that a dyno moved alone")] = ""
     first: Annotated[float, SI("s", "time of the log at which it counts from", -1e9)] = -1e9
     last: Annotated[float, SI("s", "time until which it counts", -1e9)] = 1e12
     rate: Annotated[float, SI("1/s", "samples per second of a log without times", 0.0)] = 0.0
@@ -125,7 +128,7 @@ def read_map(path: Path | None, vehicle: Vehicle) -> LogMap:
     units = {one.name: one.unit for one in vehicle.kind.parameters}
     whole = read("", MapFile, data, parameters=units)
     shared = {one.name: getattr(whole, one.name) for one in fields(LogKeys)}
-    names = {name: one.unit for name, one in vehicle.kind.possible.items()}
+    names = signal_units(vehicle.kind)
     sensors = dict[str, SensorSection]()
     for name, table in whole.signals.items():
         if name not in names:

@@ -86,14 +86,22 @@ class LogPrediction:
         """Inputs at the samples and their rates over the steps from there, shape (T, 2 v)."""
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
+        wheels = self.experiment.road.shape[1]
         if self.experiment.forces_held:
-            rates[:, self.experiment.road.shape[1] :] = 0.0
+            rates[:, wheels:] = 0.0
+        if self.experiment.hubs:  # straight lines with the means of cubics: a measured acceleration is smooth
+            whole = padded(held[:, :wheels])
+            held[:, :wheels] += (whole[1:-2] + whole[2:-1] - whole[:-3] - whole[3:]) / 24
+        if self.experiment.road_held:
+            held[:, :wheels] = midpoints(held[:, :wheels])
+            rates[:, :wheels] = 0.0
         return np.hstack([held, rates])
 
     @cached_property
     def _at_samples(self) -> Array:
-        """The same with the mean rate of the steps before and after: of a smooth road that is the rate at the sample."""
-        held, rates = np.hsplit(self._inputs, 2)
+        """Inputs at the samples with the mean rate of the steps before and after: of a smooth road the rate at the sample."""
+        held = np.hstack([self.experiment.road, self.experiment.forces])
+        rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
         return np.hstack([held, (rates + np.vstack([rates[:1], rates[:-1]])) / 2])
 
     def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
@@ -234,6 +242,18 @@ class LogPrediction:
         return np.stack(each, axis=-1)
 
 
+def padded(values: Array) -> Array:
+    """Returns values with one before and two behind, which continue them oddly, shape (T + 3, r)."""
+    return np.pad(values, ((1, 2), (0, 0)), mode="reflect", reflect_type="odd")
+
+
+def midpoints(values: Array) -> Array:
+    """Returns values midway to the next sample, by cubics through four samples, shape (T, r); the last value stays."""
+    whole = padded(values)
+    middle = (9 * (whole[1:-2] + whole[2:-1]) - whole[:-3] - whole[3:]) / 16
+    return np.vstack([middle[:-1], values[-1:]])
+
+
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
     """Returns the parameters with one of them larger and smaller by a step, but not below zero."""
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
@@ -252,6 +272,8 @@ def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, A
     r, m = len(model.disturbances), len(model.inputs)
     Bv, Bd = np.hstack([model.Br, model.B]), np.hstack([model.Bw, np.zeros((len(model.A), m))])
     C, Dv, Dd = model.C[rows], np.hstack([model.Cr, model.D])[rows], np.hstack([model.Dw, np.zeros((len(model.C), m))])[rows]
+    if experiment.road_held:  # the road jumps: the states are x less Bd v, which do not
+        return model.A, Bv + model.A @ Bd, np.zeros_like(Bd), C, Dv + C @ Bd, Dd
     if not experiment.hubs:
         return model.A, Bv, Bd, C, Dv, Dd
     if vehicle.inertial:

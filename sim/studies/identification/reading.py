@@ -13,8 +13,9 @@ from models.common.extensions import FEATURES
 from models.common.logs.measured_log import MeasuredLog, read_measured_log
 from models.common.printed import brief, percent, rough
 from models.vehicle.vehicle import Vehicle
-from sim.studies.identification.experiment import Channel, Experiment
-from sim.studies.identification.log_map import FLAT, HELD, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment, signal_units
+from sim.studies.identification.log_map import FLAT, HELD, LOGGED, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+from sim.studies.identification.part_prediction import part_of
 
 GAP = 5  # steps without a sample, beyond which a new stretch begins with a state of its own
 LEAST = 50  # samples of a stretch
@@ -22,6 +23,7 @@ FROZEN = 12  # equal values in a row of a sensor that otherwise changes from sam
 CLIPPED = 3  # equal values in a row at a signal's largest or smallest value
 JITTER = 0.02  # of a step: times that deviate more are not equidistant
 COARSE = 0.5  # share of the road's motion within half the Nyquist frequency that is needed
+MOST_PHASE = 1.0  # rad of the road's usual frequency by errors of times
 DEEP = 1.0  # m: a suspension does not move further
 
 
@@ -40,7 +42,7 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         InputError: the log cannot be read, lacks what the map asks for, or cannot be right.
     """
     keys, sensors = log_map.of(path), log_map.sensors
-    units = {name: one.unit for name, one in vehicle.kind.possible.items()}
+    units = signal_units(vehicle.kind)
     columns = {name: one.column for name, one in sensors.items() if one.column}
     own = path.suffix.lower() == ".mcap" and not columns
     log = _own_log(path, units) if own else read_measured_log(path, units, keys.rate or None, columns)
@@ -49,7 +51,7 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         log = replace(log, signals={name: sensors[name].sign * values for name, values in log.signals.items()})
     else:
         sensors = {name: replace(sensors.get(name, SensorSection()), offset=0.0) for name in log.signals}
-        keys = replace(keys, forces=HELD)  # a controller's computer holds them over a step
+        keys = replace(keys, forces=HELD, heights=HELD)  # a controller's computer and MuJoCo hold them over a step
     with error_in(f"log {path}:"):
         return _stretches(log, vehicle, keys, sensors)
 
@@ -78,14 +80,20 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         raise InputError(f"{int(within.sum())} samples count; at least {LEAST} are needed: change first and last in the map")
     within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False
     time = log.time[within]
-    step, places, more = _grid(time)
+    step, places, late, more = _grid(time)
+    if log.rounded:
+        late = max(late, _resolution(time) / 2)
+        remarks.append(f"{log.rounded} samples have the time of the one before, and are left out: times are rounded")
     remarks += more
     values = {name: np.full(places[-1] + 1, np.nan) for name in log.signals}
     for name, one in log.signals.items():
         values[name][places] = one[within]
     model, kind = vehicle.linear_model, vehicle.kind
-    heights = [wheel.road_displacement for wheel in kind.wheels]
-    driving = {name: values.pop(name) for name in (*heights, *model.inputs) if name in values}
+    heights, acting, readable = [wheel.road_displacement for wheel in kind.wheels], model.inputs, model.outputs
+    if keys.part:
+        part_of(vehicle, keys.part)
+        heights, acting, readable, keys = [EXTENSION], (), (FORCE,), replace(keys, road=LOGGED)
+    driving = {name: values.pop(name) for name in (*heights, *acting) if name in values}
     for name in [name for name in values if name.startswith("road_velocity")]:
         values.pop(name)
         remarks.append(f"{name} is left out: the heights of the road drive the vehicle")
@@ -95,20 +103,20 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         driving |= {name: values.pop(name) for name in heights if name in values}
     count = places[-1] + 1
     road, origin = _road(keys, vehicle, driving, heights, time[0] + step * np.arange(count))
-    forces = np.stack([driving.get(name, np.zeros(count)) for name in model.inputs], axis=-1)
+    forces = np.array([driving.get(name, np.zeros(count)) for name in acting]).reshape(len(acting), count).T
     if not values:
-        raise InputError(f"no measured signal; give a column of one of {list_names(model.outputs[:6])}")
-    unknown = [name for name in values if name not in model.outputs]
+        raise InputError(f"no measured signal; give a column of one of {list_names(readable[:6])}")
+    unknown = [name for name in values if name not in readable]
     if unknown:
         raise InputError(f"{list_names(unknown)} cannot be compared; omit it")
     for name in list(values):
-        values[name], more = _counted(name, values[name], kind.possible[name].unit)
+        values[name], more = _counted(name, values[name], signal_units(kind)[name])
         remarks += more
         if np.isfinite(values[name]).sum() < LEAST:
             remarks.append(f"{name} is left out: fewer than {LEAST} of its samples count")
             values.pop(name)
-    inputs, more = _filled(np.hstack([road, forces]), [*heights, *model.inputs])
-    remarks += more + _slow(inputs[:, : len(heights)], step, hubs)
+    inputs, more = _filled(np.hstack([road, forces]), [*heights, *acting])
+    remarks += more + ([] if hubs or keys.part else _slow(inputs[:, : len(heights)], step, late))
     experiments = list[Experiment]()
     for first, last in _runs(np.asarray(np.isfinite(inputs).all(axis=1))):
         if last - first < LEAST:
@@ -131,6 +139,8 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
                 rest,
                 hubs,
                 keys.forces == HELD,
+                keys.heights == HELD and not hubs and not keys.part,
+                keys.part,
                 float(time[0] + step * first),
             )
         )
@@ -148,8 +158,8 @@ def _channel(name: str, values: Array, of: SensorSection) -> Channel:
     return Channel(name, shifted, of.noise, of.delay or 0.0, of.delay is None, of.offset is None)
 
 
-def _grid(time: Array) -> tuple[float, Array, list[str]]:
-    """Returns the step of equidistant times, the place of each sample among them, and remarks on times that are not."""
+def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
+    """Returns the step of equidistant times, the place of each sample among them, the largest deviation [s], and remarks."""
     diffs = np.diff(time)
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
@@ -171,7 +181,12 @@ def _grid(time: Array) -> tuple[float, Array, list[str]]:
         )
     if missing:
         remarks.append(f"{missing} samples are missing, of {places[-1] + 1}")
-    return step, places, remarks
+    return step, places, deviation * step, remarks
+
+
+def _resolution(time: Array) -> float:
+    """Returns the power of ten of which all times are multiples [s]."""
+    return next((10.0**-k for k in range(10) if np.abs(time * 10**k - np.round(time * 10**k)).max() < 1e-4), 0.0)
 
 
 def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
@@ -267,12 +282,26 @@ def _runs(true: Array) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _slow(road: Array, step: float, hubs: bool) -> list[str]:
-    """Returns a remark if most of the road's motion is too fast for the sampling."""
-    if hubs or not np.ptp(np.nan_to_num(road)):
+def _slow(road: Array, step: float, late: float) -> list[str]:
+    """Returns a remark if most of the road's motion is too fast for the sampling.
+
+    Args:
+        late: largest error of the times [s].
+
+    Raises:
+        InputError: this error is so large that the phase of the road is not known.
+    """
+    if not np.ptp(np.nan_to_num(road)):
         return []
     velocity = np.diff(np.nan_to_num(road), axis=0)
     power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
+    usual = float(np.searchsorted(np.cumsum(power.sum(axis=1)), power.sum() / 2)) / (step * len(velocity))
+    if 2 * np.pi * usual * late > MOST_PHASE:
+        raise InputError(
+            f"times are off by up to {rough(1e3 * late)} ms, which is {rough(2 * np.pi * usual * late)} rad of the road's "
+            f"{rough(usual)} Hz (sampled at {rough(1 / step)} Hz): the road's phase is not known; export times with more digits, "
+            "or sample faster"
+        )
     slow = power[: max(1, math.ceil(len(power) / 2))].sum() / max(power.sum(), 1e-300)
     if slow >= COARSE:
         return []

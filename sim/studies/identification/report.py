@@ -20,7 +20,8 @@ from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.allowed_result import ALLOWED, WORST_BOUND, AllowedResult
 from sim.studies.identification.estimate import NORMAL, Estimate
-from sim.studies.identification.identification import Identification
+from sim.studies.identification.experiment import signal_units
+from sim.studies.identification.identification import Identification, element_numbers
 from sim.studies.identification.plan import PLANS, ChirpPlan
 
 SCALE = (
@@ -89,6 +90,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
     """Returns all parameters that were free."""
     estimate, rows = of.estimate, list[ParameterRow]()
     units = {one.name: one.unit for one in of.vehicle.kind.parameters}
+    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()}
     for name in estimate.problem.first:
         first, unit = estimate.problem.first[name], units.get(name, "")
         if name in of.intervals:
@@ -126,7 +128,7 @@ def sensor_rows(of: Identification) -> list[SensorRow]:
         for channel in one.channels:
             name, test = channel.signal, tests[channel.signal]
             delay = estimate.delays.get(name, channel.delay)
-            unit = kind.possible[name].unit
+            unit = signal_units(kind)[name]
             rows.append(
                 SensorRow(
                     one.name, name, unit, fits[name], estimate.noise[name], delay, own.get(name), test.probability, test.outside
@@ -175,7 +177,13 @@ def statements(of: Identification) -> Iterator[Statement]:
             f"Another vehicle fits as well: {values}. These signals cannot tell suspension and tyre apart; measure the hub.",
             "ends",
         )
-    if estimate.white:
+    if estimate.noiseless:
+        largest = at_most(max(estimate.noiseless.values()))
+        words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
+        yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms: there is no noise to test.", "holds")
+    if {*estimate.noiseless} == {*estimate.problem.signals}:
+        pass
+    elif estimate.white:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
     else:
         yield Statement(
@@ -261,7 +269,7 @@ def figure(of: Identification) -> Figure:
     every = slice(None, None, max(1, len(one.road) // MOST_POINTS))
     panels = []
     for channel, values in zip(one.channels, predicted.T, strict=True):
-        unit = of.vehicle.kind.possible[channel.signal].unit
+        unit = signal_units(of.vehicle.kind)[channel.signal]
         curves = (
             Curve(one.time[every], channel.values[every], "measured", "#9a9a9a", "none", "o"),
             Curve(one.time[every], values[every], "identified vehicle", "#0b5fa5"),
@@ -275,9 +283,11 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     vehicle, estimate = of.vehicle, of.estimate
     start, rows = estimate.problem.vehicle, parameter_rows(of)
     tables = [name for name in vehicle.curves if name in estimate.values]
-    written = parse_toml(start.text)["parameters"]
+    written, parts = (parse_toml(start.text).get(section, {}) for section in ("parameters", "parts"))
     values = {name: float(digits(estimate.values[name])) for name in estimate.free if name not in tables}
     replaced = [Replacement(("parameters", name), {name: value}) for name, value in values.items() if name in written]
+    paths = [(part, key) for part, table in parts.items() for key in table if f"{part}.{key}" in values]
+    replaced += [Replacement(("parts", part, key), {key: values[f"{part}.{key}"]}) for part, key in paths]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
     held = {name: "not determined: the logs give only its products with others" for name in estimate.held}

@@ -1,0 +1,135 @@
+"""Force of a part over a measured motion, as a dyno measures it, and its derivatives by the part's numbers.
+
+The extension d follows a cubic spline through its samples, and v is its rate. The states z of the part follow z' = f(d, v, z) of
+the part itself (`models.parts`). The trapezoidal rule
+
+    z[k+1] - z[k] = h/2 (f[k] + f[k+1])
+
+on fine steps h is solved for all steps at once by Newton's method: its matrix is banded, as each equation has two neighbours
+only. The same matrix gives the derivatives of z by numbers of the part and by z[0].
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError, alike, short_repr
+from models.parts.part import STEP, Part
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.prediction import LogPrediction, PredictedSignals
+
+RELATIVE = 1e-6  # step of differences of the law, upwards: an exponent may be at its least value
+FINE, FINEST = 4, 64  # steps between samples
+RATE = 0.5  # of the part's states times the fine step, at the largest speed
+TURNS = 40  # of Newton's method
+SETTLED = 1e-10  # relative change of z at its end
+FAR = 1e12  # N, the force of a part whose states diverge: the search turns back
+
+
+class PartPrediction(LogPrediction):
+    """Force of the part of an experiment, see `Experiment.part`."""
+
+    def part(self, vehicle: Vehicle) -> Part:
+        """Returns the part in a vehicle.
+
+        Raises:
+            InputError: the vehicle does not have it.
+        """
+        return part_of(vehicle, self.experiment.part)
+
+    def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Returns the names of the part's own states."""
+        return tuple(one.name for one in self.part(self.vehicle(values)).states)
+
+    @cached_property
+    def _motion(self) -> tuple[Array, Array, int]:
+        """Extension and its rate at all fine steps, shape (K,), and the number of fine steps between samples."""
+        from scipy.interpolate import CubicSpline
+
+        one = self.experiment
+        travel, time = CubicSpline(one.time, one.road[:, 0]), one.time
+        fastest = self.part(self.vehicle({})).fastest * float(np.abs(travel(time, 1)).max()) / 2.0  # it is that at 2 m/s
+        fine = min(max(math.ceil(fastest * one.step / RATE), FINE), FINEST)
+        at = one.start + one.step / fine * np.arange((len(time) - 1) * fine + 1)
+        return travel(at), travel(at, 1), fine
+
+    def __call__(
+        self,
+        values: Mapping[str, float],
+        free: Mapping[str, float],
+        start: Array | None,
+        delays: Sequence[float],
+        derivatives: bool = True,
+    ) -> PredictedSignals:
+        """Returns predicted forces. Arguments as for `LogPrediction`."""
+        d, v, fine = self._motion
+        part = self.part(self.vehicle(values))
+        n, p = len(part.states), len(free)
+        z0 = np.zeros(n) if start is None else start
+        z, bands = self._solved(part, z0)
+        columns = [part.pull(d, v, z)]
+        if derivatives:
+            slopes = [np.imag(part.pull(d, v, z + STEP * 1j * one)) / STEP for one in np.eye(n)]
+            moves, direct = np.zeros((len(z) * n, p + n)), list[Array]()
+            for j, (name, size) in enumerate(free.items()):
+                ahead = self.part(self.vehicle({**values, name: values[name] + RELATIVE * size}))
+                rates, pulls = (getattr(ahead, one)(d, v, z) - getattr(part, one)(d, v, z) for one in ("rate", "pull"))
+                moves[n:, j] = self._mean(rates).ravel() / (RELATIVE * size)
+                direct.append(pulls / (RELATIVE * size))
+            moves[:n, p:] = np.eye(n)
+            moved = _solve(bands, moves, n).reshape(len(z), n, -1) if n else np.zeros((len(z), 0, p))
+            through = sum((slope[:, None] * moved[:, i] for i, slope in enumerate(slopes)), np.zeros((len(z), moved.shape[2])))
+            columns += [through[:, j] + (direct[j] if j < p else 0.0) for j in range(p if start is None else p + n)]
+        return self._sampled(columns, p, fine, delays)
+
+    def _sampled(self, columns: Sequence[Array], p: int, fine: int, delays: Sequence[float]) -> PredictedSignals:
+        """Returns columns on fine steps at the times that sensors with delays read: the force, and its p and n derivatives."""
+        time = self.experiment.time
+        at = self.experiment.start + self.experiment.step / fine * np.arange(len(columns[0]))
+        rate = np.gradient(columns[0], self.experiment.step / fine)
+        each = np.stack([[np.interp(time - delay, at, one, left=np.nan) for delay in delays] for one in [*columns, rate]])
+        each = np.clip(np.moveaxis(each, 1, 2), -FAR, FAR)
+        return PredictedSignals(each[0], each[1 : p + 1], each[p + 1 : -1], -each[-1])
+
+    def _mean(self, rates: Array) -> Array:
+        return self.experiment.step / self._motion[2] * (rates[1:] + rates[:-1]) / 2
+
+    def _solved(self, part: Part, z0: Array) -> tuple[Array, Array]:
+        """Returns the states at all fine steps, shape (K, n), and the bands of the matrix of their equations."""
+        d, v, fine = self._motion
+        half, n = self.experiment.step / fine / 2, len(z0)
+        z, bands = np.tile(z0, (len(d), 1)), np.zeros((3 * n - 1 if n else 0, len(d) * n))
+        for _ in range(TURNS if n else 0):
+            J = np.stack([np.imag(part.rate(d, v, z + STEP * 1j * one)) / STEP for one in np.eye(n)], axis=-1)
+            bands[:] = 0.0
+            for i in range(n):
+                for j in range(n):  # of equation (k, i) by unknown (k, j), and by unknown (k - 1, j)
+                    bands[n - 1 + i - j, j::n] = (i == j) - half * J[:, i, j] * (np.arange(len(d)) > 0)
+                    bands[2 * n - 1 + i - j, j : -n or None : n] = -(i == j) - half * J[:-1, i, j]
+            error = np.vstack([z[:1] - z0, np.diff(z, axis=0) - self._mean(part.rate(d, v, z))])
+            step = _solve(bands, error.reshape(-1, 1), n).reshape(z.shape)
+            z = np.nan_to_num(z - step, nan=FAR, posinf=FAR, neginf=-FAR)
+            if np.abs(step).max() <= SETTLED * max(np.abs(z).max(), 1e-300):
+                break
+        return z, bands
+
+
+def _solve(bands: Array, right: Array, n: int) -> Array:
+    return linalg.solve_banded((2 * n - 1, n - 1), bands, right, check_finite=False)
+
+
+def part_of(vehicle: Vehicle, name: str) -> Part:
+    """Returns the part of `[parts.NAME]`.
+
+    Raises:
+        InputError: the vehicle does not have it.
+    """
+    parts = {one.name: one.part for one in vehicle.elements}
+    if name not in parts:
+        what = alike(name, parts) if parts else "write a section [parts.NAME] in the vehicle file"
+        raise InputError(f"part = {short_repr(name)} is not a part of this vehicle; {'give one of ' * bool(parts)}{what}")
+    return parts[name]
