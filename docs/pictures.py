@@ -112,7 +112,9 @@ class Drawing:
         from matplotlib.patches import Circle, FancyBboxPatch
 
         motion, passive = self._motions[name], self._motions["passive"]
-        axes = self._figure.add_axes((0.01 + 0.5 * place, 0.36, 0.48, 0.63), xlim=(-SEEN, SEEN), ylim=(-0.13, 1.99), aspect="equal")
+        axes = self._figure.add_axes(
+            (0.01 + 0.5 * place, 0.36, 0.48, 0.63), xlim=(-SEEN, SEEN), ylim=(-0.13, 1.99), aspect="equal"
+        )
         axes.set_axis_off()
         colour = COLOURS[name]
         said = f"ride {motion.ride:.3f} m/s², travel {1e3 * motion.travel:.0f} mm"
@@ -199,7 +201,9 @@ def photograph_report(folder: Path, path: Path = REPORT) -> None:
     with contextlib.redirect_stdout(io.StringIO()):
         main(["--quick", "--out", str(page), "--controller", "I", "--controller", "II"])
     size = ["--window-size=1000,850", "--hide-scrollbars", "--force-device-scale-factor=1"]
-    subprocess.run([browser, "--headless", "--no-sandbox", *size, f"--screenshot={path}", page.as_uri()], check=True, capture_output=True)
+    subprocess.run(
+        [browser, "--headless", "--no-sandbox", *size, f"--screenshot={path}", page.as_uri()], check=True, capture_output=True
+    )
 
 
 if __name__ == "__main__":

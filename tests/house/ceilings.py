@@ -53,7 +53,7 @@ curves of dampers and springs, statistical linearisation       3344   1922    16
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
     sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
-    tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
+    tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/{springs-and-dampers,force-elements}.md
 bump stops                                                      618    166      0
     models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
 parts of a suspension                                          2101   1929      0
@@ -68,7 +68,7 @@ measured roads, rigs, OpenCRG, IRI                             1346    982      
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
 analytic and random roads                                      1663    928     92
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
-    tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
+    tests/models/test_{roads,second_sources}.py docs/how-to/{custom-roads,roads}.md
 preview, LQR, LQG, H2                                           544    625     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
@@ -90,10 +90,10 @@ uncertainty: fragility, mu, boxes                              2312    935     6
 sampled data: norm, bound, designs, rates                      2069   1235    110
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
-    tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
+    tests/*/test_{sampled_*}.py docs/how-to/sampled-data-design.md
 export: C99, fixed point, FMI, MATLAB                          3314   1446     97
     synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
-    sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
+    sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/{export,simulink}.md
 full-order H-infinity                                           915    741    114
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
@@ -107,7 +107,8 @@ two steps, LMI path                                            2734   1013     3
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
-    tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py docs/explanation/control-problem.md
+    tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py
+    docs/explanation/{control-problem,reproduce-the-paper}.md
 certificates, norms, lower bounds                              3405   2293     46
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
@@ -144,7 +145,8 @@ margins in physics                                             1979    823     7
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 recommendation of a controller                                 1569    304    149
-    sim/studies/recommend/* tests/sim/test_recommend.py docs/how-to/recommend.md docs/tutorials/best-controller.md
+    sim/studies/recommend/* tests/sim/test_recommend.py
+    docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               1926    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             3169   1277      0
@@ -163,7 +165,7 @@ MuJoCo loop                                                    2855   1099     1
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
-    tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py docs/explanation/energy-balance.md
+    tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py
 linear responses                                               1068    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
@@ -171,12 +173,12 @@ runs, verdict, their text                                      2751   1049     6
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
-    docs/explanation/{agrees-and-ended,not-modelled}.md
+    docs/explanation/{why-mujoco,not-modelled}.md
 commands that drive                                            1046    989    429
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
-    docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
+    docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   5237   1603
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py

@@ -29,6 +29,7 @@ SLOW = (
     *("synth --vehicle quarter_car_goals", "synth --front"),
     *("synth --vehicle models/gallery/mathworks/robust.toml", "sim.campaign campaign.toml", "sim.campaign --verify"),
     *("sim.drive --controller I --class C", "sim.bump --controller all --serve", "synth --part loop"),
+    "sim.drive --controller skyhook",
 )
 
 
