@@ -25,7 +25,7 @@ what all commands share: files, options, checks, tables of numbers   3247   2253
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6194   2014    353
+vehicle file, types, equations, MJCF                           6194   2014    345
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -47,7 +47,7 @@ semi-active dampers and laws                                   1301    725    20
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3344   1922    161
+curves of dampers and springs, statistical linearisation       3344   1922    180
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -66,7 +66,7 @@ loads, links, tyre damping                                      766   1441     5
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
 measured roads, rigs, OpenCRG, IRI                             1346    982      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
-analytic and random roads                                      1663    928     92
+analytic and random roads                                      1663    928    165
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/{custom-roads,roads}.md
 preview, LQR, LQG, H2                                           544    625     51
@@ -87,11 +87,11 @@ uncertainty: fragility, mu, boxes                              2312    935     6
     {models/laws,synth/vehicle}/weighted_errors.py
     tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2069   1235    110
+sampled data: norm, bound, designs, rates                      2069   1235     89
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/how-to/sampled-data-design.md
-export: C99, fixed point, FMI, MATLAB                          3314   1446     97
+export: C99, fixed point, FMI, MATLAB                          3314   1446    111
     synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/{export,simulink}.md
 full-order H-infinity                                           915    741    114
@@ -103,7 +103,7 @@ static search, descent, refine                                 2074    750      
 LMI certificates that anybody can check                         910    351    103
     synth/analysis/lmi_certificate/* synth/vehicle/lmi_certificates.py synth/command/certificates.py
     tests/synth/test_lmi_certificates.py tests/support/check_certificates.mjs docs/explanation/lmi-certificates.md
-two steps, LMI path                                            2734   1013     35
+two steps, LMI path                                            2734   1013    146
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
@@ -144,7 +144,7 @@ gallery of papers                                               734    343     4
 margins in physics                                             1979    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-recommendation of a controller                                 1569    304    149
+recommendation of a controller                                 1569    304    202
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               1926    602     36
@@ -161,7 +161,7 @@ identification from measured logs                              2938    362    17
 map of validity                                                1261    369     33
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    2855   1099     18
+MuJoCo loop                                                    2855   1099      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
@@ -169,17 +169,17 @@ MuJoCo loop                                                    2855   1099     1
 linear responses                                               1068    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2751   1049     61
+runs, verdict, their text                                      2751   1049    106
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1046    989    429
+commands that drive                                            1046    989    373
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5237   1603
+house, pages, benchmarks                                          0   5260   1913
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*
