@@ -176,7 +176,7 @@ def commands() -> str:
     """Returns the page of all commands and their options."""
     parsers = {name: parser_of(name) for name, _, _ in COMMANDS}
     many = Counter(_option(action) for parser in parsers.values() for action in parser._actions)
-    common = [row for row, count in many.items() if count > 2]
+    common = [row for row, count in many.items() if count > 1]
     text = (
         "# Commands\n\n`roadproof bump` is the same as `python -m sim.bump`; the other commands have both forms, too.\n\n"
         f"## Common options\n\n{table(('option', 'meaning'), common)}"
@@ -186,9 +186,8 @@ def commands() -> str:
         entries = [_option(action) for action in parser._actions]
         rows = [row for row in entries if row not in common]
         rows.append((", ".join(row[0] for row in entries if row in common), "see the common options"))
-        usage = " ".join((parser.description or "").split())
         page = parser.page.removeprefix("docs/")
-        text += f"\n## roadproof {verb}\n\nPurpose: [{purpose}](../{page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
+        text += f"\n## roadproof {verb}\n\nPurpose: [{purpose}](../{page})\n\n{table(('option', 'meaning'), rows)}"
     return text
 
 
@@ -282,7 +281,7 @@ def vehicle_file() -> str:
     text += "The last column links to a page that shows the key in use.\n"
     for section, keys in key_sections().items():
         rows = [
-            (f"`{'`, `'.join(names)}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(names[0]))
+            (code(names), unit, cell(meaning) if "`" not in meaning else meaning, shown_in(names[0]))
             for names, unit, meaning in of_both_sides(keys)
         ]
         text += f"\n## {section}\n\n{table(('key', 'unit', 'meaning', 'used in'), rows)}"
@@ -335,14 +334,16 @@ def signal_tables() -> str:
     text += "\nOn a vehicle with several wheels, the name of a signal ends with the wheel, as in `tyre_deflection_rear`. "
     text += "The states of a controller are `controller_1`, `controller_2` and so on.\n"
     for name in kinds():
-        listed = ", ".join(f"`{one.name}`" for one in kind(name).signals)
-        of_seat = ", ".join(f"`{one.name}`" for one in SEAT_SIGNALS)
-        text += (
-            f"\n## {name}\n\n{listed}.\n\nWith `[seat]` also {of_seat}.\n\nControllers may measure: "
-            + ", ".join(f"`{one}`" for one in read_vehicle(name).linear_model.measurable)
-            + ".\n"
-        )
-    return text
+        listed, measured = [one.name for one in kind(name).signals], read_vehicle(name).linear_model.measurable
+        others = [one for one in listed if one not in measured]
+        text += f"\n## {name}\n\n{code(listed)}.\n\nControllers may measure all of them except {code(others)}.\n"
+        text += f"They may also measure {code(more)}.\n" if (more := [one for one in measured if one not in listed]) else ""
+    return f"{text}\n## A vehicle with a seat\n\nWith `[seat]` every vehicle also has {code(one.name for one in SEAT_SIGNALS)}.\n"
+
+
+def code(names: Iterable[str]) -> str:
+    """Returns names as code, with commas."""
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def numbers(section: type) -> str:

@@ -29,7 +29,7 @@ INK, PAPER, GROUND = "#24292f", "#ffffff", "#c9ccd1"
 FRAMES, SLOWER = 75, 2.0  # frames of the animation; how much slower it is than the run
 SPEED = 12.5  # of the vehicle [m/s]
 HIGHER = 2.0  # scale of heights over that of lengths
-RADIUS, LOW, HIGH = 0.34, 0.88, 0.5  # wheel radius, height of the body's underside in equilibrium, its thickness [m]
+RADIUS, LOW, HIGH = 0.34, 1.0, 0.45  # wheel radius, height of the body's underside in equilibrium, its thickness [m]
 SEEN = 1.45  # road that is drawn before and behind the wheel [m]
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ class Drawing:
 
         motion, passive = self._motions[name], self._motions["passive"]
         axes = self._figure.add_axes(
-            (0.01 + 0.5 * place, 0.36, 0.48, 0.63), xlim=(-SEEN, SEEN), ylim=(-0.13, 1.99), aspect="equal"
+            (0.01 + 0.5 * place, 0.36, 0.48, 0.63), xlim=(-SEEN, SEEN), ylim=(-0.13, 2.15), aspect="equal"
         )
         axes.set_axis_off()
         colour = COLOURS[name]
@@ -121,28 +121,28 @@ class Drawing:
         if name != "passive":
             changes = [100 * (motion.ride / passive.ride - 1), 100 * (motion.travel / passive.travel - 1)]
             said = f"ride {changes[0]:+.0f} %, travel {changes[1]:+.0f} %".replace("-", "\N{MINUS SIGN}")
-        axes.text(0, 1.97, CONTROLLERS[name], ha="center", va="top", fontsize=14, color=colour, weight="bold")
-        axes.text(0, 1.78, said, ha="center", va="top", fontsize=12, color=INK)
+        axes.text(0, 2.14, CONTROLLERS[name], ha="center", va="top", fontsize=17, color=colour, weight="bold")
+        axes.text(0, 1.9, said, ha="center", va="top", fontsize=15, color=INK)
         axes.axhline(LOW, color=GROUND, linestyle=(0, (4, 4)), linewidth=1)
         body = FancyBboxPatch((-0.85, LOW), 1.7, HIGH, boxstyle="round,pad=0,rounding_size=0.12", facecolor=colour, edgecolor=INK)
         wheel = Circle((0, RADIUS), RADIUS, facecolor="#3b4048", edgecolor=INK)
         rim = Circle((0, RADIUS), 0.19, facecolor="#d7dade", edgecolor=INK)
-        (spring,) = axes.plot([], [], color=INK, linewidth=2, zorder=0.5)
+        (spring,) = axes.plot([], [], color=INK, linewidth=2)
         (ground,) = axes.plot([], [], color=INK, linewidth=1.5)
-        (rod,) = axes.plot([], [], color=INK, linewidth=2, zorder=0.5)
-        (damper,) = axes.plot([], [], color=INK, linewidth=9, solid_capstyle="butt", zorder=0.5)
+        (rod,) = axes.plot([], [], color=INK, linewidth=2)
+        (damper,) = axes.plot([], [], color=INK, linewidth=9, solid_capstyle="butt")
         for patch in (wheel, rim, body):
             axes.add_patch(patch)
         lines = {"spring": spring, "rod": rod, "damper": damper, "ground": ground}
         return {"axes": axes, "body": body, "wheel": wheel, "rim": rim} | lines
 
     def _plot(self) -> dict[str, Any]:
-        axes = self._figure.add_axes((0.1, 0.125, 0.87, 0.215))
+        axes = self._figure.add_axes((0.11, 0.145, 0.86, 0.2))
         largest = max(abs(one.acceleration).max() for one in self._motions.values())
         axes.set(xlim=(0, self._motions["passive"].time[-1]), ylim=(-1.1 * largest, 1.1 * largest))
-        axes.set_xlabel("time [s]", fontsize=11, color=INK, labelpad=1)
+        axes.set_xlabel("time [s]", fontsize=13, color=INK, labelpad=1)
         axes.set_ylabel("body [m/s²]", fontsize=11, color=INK)
-        axes.tick_params(labelsize=10, colors=INK)
+        axes.tick_params(labelsize=12, colors=INK)
         axes.grid(color="#e3e5e8")
         styles = {"passive": "--", "I": "-"}
         return {name: axes.plot([], [], color=COLOURS[name], linestyle=styles[name], linewidth=2)[0] for name in self._motions}
