@@ -204,6 +204,23 @@ def test_campaign_snippet(tmp_path):
     assert campaign.settle == 5.0
 
 
+def test_first_commands():
+    """From `git clone` to a picture of one's own car there are five commands; `.ci/run` finds its three blocks in their order."""
+    first, *_ = pages.sections("README.md")
+    (block,) = first.blocks("bash")
+    clone, *_, new, drive = block.splitlines()
+    assert len(block.splitlines()) == 5
+    assert clone.startswith("git clone ")
+    assert new.startswith("roadproof new ")
+    assert drive.split()[-2] == "--picture"
+    blocks = re.findall(r"^```sh\n(.*?)^```", pages.page("README.md"), re.M | re.S)
+    assert [word for word, one in zip(("sim.bump", "pytest", "sphinx"), blocks, strict=False) if f"-m {word} " in one] == [
+        "sim.bump",
+        "pytest",
+        "sphinx",
+    ]
+
+
 @pytest.mark.parametrize("page", ["README.md: Five lines of Python", "docs/index.md: First example"])
 def test_first_scripts(page, capsys):
     """The first script of the README and of the home page drives and compares, and prints what stands below it."""

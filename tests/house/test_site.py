@@ -177,6 +177,7 @@ def test_the_home_page_begins_with_a_car_over_a_bump():
     assert (PICTURES / first).read_text(encoding="utf-8") == generate.car()
 
 
+@pytest.mark.attack
 def test_the_animation_is_drawn_from_a_log(tmp_path):
     """Frames of README's animation are what `docs/pictures.py` draws from a log that is written now; the file is below 1 MB."""
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
