@@ -4,6 +4,7 @@ Nothing here repeats a list of the code. Commands come from their parsers, and k
 roads and metrics come from the models, public names from `__all__`, and pictures from the pages that draw them.
 """
 
+import argparse
 import ast
 import contextlib
 import functools
@@ -14,7 +15,8 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from functools import partial
 from pathlib import Path
@@ -55,7 +57,7 @@ from models.vehicle.payload import PayloadSection
 from models.vehicle.performance import WeightSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
-from sim.__main__ import COMMANDS
+from sim.__main__ import COMMANDS, VERBS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.ride import metrics
@@ -63,10 +65,14 @@ from sim.studies.ride import metrics
 HERE = Path(__file__).parent
 PACKAGES = (models, synth, sim)
 GUIDES = ("how-to/*.md", "built-in-vehicles.md", "tutorials/your-own-car.md")  # pages that show keys of a vehicle file
+SIDES = "front|rear|left|right"  # of a vehicle, in names of keys
 DRAWN = ("quarter_car", "half_car", "half_car_roll", "full_car")  # vehicles on the page of conventions
 
 # Pages that have moved: old address -> new address, below `docs/` without suffix.
 MOVED = {
+    "explanation/agrees-and-ended": "explanation/why-mujoco",
+    "explanation/energy-balance": "explanation/why-mujoco",
+    "explanation/sampled-and-continuous": "explanation/why-mujoco",
     "how-to/a-discrete-plant": "how-to/any-linear-plant",
     "how-to/a-law-from-matlab": "how-to/import-controllers",
     "how-to/a-law-in-python": "how-to/python-control-laws",
@@ -168,18 +174,30 @@ def parser_of(command: str) -> Parser:
 
 def commands() -> str:
     """Returns the page of all commands and their options."""
-    text = "# Commands\n\nRun `sim.bump` as `roadproof bump` or as `python -m sim.bump`, and the other commands likewise.\n"
-    for name, purpose, _ in COMMANDS:
-        parser = parser_of(name)
-        rows = []
-        for action in parser._actions:
-            value = action.metavar if action.nargs != 0 and isinstance(action.metavar, str) else ""
-            options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
-            rows.append((options or f"`{value or action.dest}`", cell((action.help or "").replace("%%", "%"))))
-        usage = " ".join((parser.description or "").split())
+    parsers = {name: parser_of(name) for name, _, _ in COMMANDS}
+    many = Counter(_option(action) for parser in parsers.values() for action in parser._actions)
+    common = [row for row, count in many.items() if count > 1]
+    text = (
+        "# Commands\n\n`roadproof bump` is the same as `python -m sim.bump`; the other commands have both forms, too.\n\n"
+        f"## Common options\n\n{table(('option', 'meaning'), common)}"
+    )
+    for verb, (name, purpose, _) in zip(VERBS, COMMANDS, strict=True):
+        parser = parsers[name]
+        entries = [_option(action) for action in parser._actions]
+        rows = [row for row in entries if row not in common]
+        rows.append((", ".join(row[0] for row in entries if row in common), "see the common options"))
         page = parser.page.removeprefix("docs/")
-        text += f"\n## {name}\n\nPurpose: [{purpose}](../{page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
+        text += f"\n## roadproof {verb}\n\nPurpose: [{purpose}](../{page})\n\n{table(('option', 'meaning'), rows)}"
     return text
+
+
+def _option(action: argparse.Action) -> tuple[str, str]:
+    """Returns an option as it is written, and its meaning."""
+    value = action.metavar if action.nargs != 0 and isinstance(action.metavar, str) else ""
+    options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
+    return options or f"`{value or action.dest}`", cell(
+        re.sub(r"python -m (sim[. ])?", "roadproof ", (action.help or "").replace("%%", "%"))
+    )
 
 
 def cell(text: str) -> str:
@@ -197,10 +215,10 @@ def guides() -> list[tuple[Path, str]]:
 
 
 def shown_in(key: str) -> str:
-    """Returns links to the pages that contain a key of a vehicle file as code."""
+    """Returns a link to a page that contains a key of a vehicle file as code; empty if there is no such page."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
     found = [path for path, text in guides() if there.search(text)]
-    return ", ".join(f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})" for path in found[:3])
+    return ", ".join(f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})" for path in found[:1])
 
 
 def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
@@ -260,13 +278,25 @@ def default(parameter: Any) -> str:
 def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
     text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`. '
-    text += "The last column lists pages that show the key in use.\n"
+    text += "The last column links to a page that shows the key in use.\n"
     for section, keys in key_sections().items():
         rows = [
-            (f"`{key}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(key)) for key, unit, meaning in keys
+            (code(names), unit, cell(meaning) if "`" not in meaning else meaning, shown_in(names[0]))
+            for names, unit, meaning in of_both_sides(keys)
         ]
         text += f"\n## {section}\n\n{table(('key', 'unit', 'meaning', 'used in'), rows)}"
     return text
+
+
+def of_both_sides(keys: Iterable[tuple[str, str, str]]) -> Iterator[tuple[list[str], str, str]]:
+    """Yields keys with their unit and meaning; keys that differ only in front and rear, or left and right, are together."""
+    rows: dict[tuple[str, ...], list[tuple[str, str]]] = {}
+    for key, unit, meaning in keys:
+        stem = re.sub(f"_({SIDES})$", "", key)
+        same = re.sub(rf",? ?\b({SIDES})\b", "", meaning).lstrip(", ") if stem != key else meaning
+        rows.setdefault((stem, unit, same), []).append((key, meaning))
+    for (_, unit, same), members in rows.items():
+        yield [key for key, _ in members], unit, same if len(members) > 1 else members[0][1]
 
 
 def together() -> str:
@@ -304,14 +334,16 @@ def signal_tables() -> str:
     text += "\nOn a vehicle with several wheels, the name of a signal ends with the wheel, as in `tyre_deflection_rear`. "
     text += "The states of a controller are `controller_1`, `controller_2` and so on.\n"
     for name in kinds():
-        listed = ", ".join(f"`{one.name}`" for one in kind(name).signals)
-        of_seat = ", ".join(f"`{one.name}`" for one in SEAT_SIGNALS)
-        text += (
-            f"\n## {name}\n\n{listed}.\n\nWith `[seat]` also {of_seat}.\n\nControllers may measure: "
-            + ", ".join(f"`{one}`" for one in read_vehicle(name).linear_model.measurable)
-            + ".\n"
-        )
-    return text
+        listed, measured = [one.name for one in kind(name).signals], read_vehicle(name).linear_model.measurable
+        others = [one for one in listed if one not in measured]
+        text += f"\n## {name}\n\n{code(listed)}.\n\nControllers may measure all of them except {code(others)}.\n"
+        text += f"They may also measure {code(more)}.\n" if (more := [one for one in measured if one not in listed]) else ""
+    return f"{text}\n## A vehicle with a seat\n\nWith `[seat]` every vehicle also has {code(one.name for one in SEAT_SIGNALS)}.\n"
+
+
+def code(names: Iterable[str]) -> str:
+    """Returns names as code, with commas."""
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def numbers(section: type) -> str:
@@ -413,6 +445,7 @@ def raised(path: Path) -> list[tuple[str, str]]:
 def messages() -> str:
     """Returns the page of all messages, a section for each room."""
     text = (
+        "---\norphan: true\n---\n\n"
         "# Messages\n\nFor invalid input, a command prints one of these lines and ends with exit code 2. The line contains what "
         "was found, what is allowed, and what to do. `<name>` and `...` are placeholders for values. A function of the library "
         "raises an `InputError` with the same text.\n"
@@ -552,11 +585,11 @@ def drawn() -> list[tuple[str, str, str, Path]]:
     for path in sorted(path for part in ("how-to", "explanation") for path in (HERE / part).glob("*.md")):
         text = path.read_text(encoding="utf-8")
         shown = dict((name, alt) for alt, name in re.findall(r"!\[([^\]]*)\]\([^)]*/([^/)]+)\)", text))
-        for line in re.findall(r"^python -m .*--picture \S+.*$", text, re.M):
+        for line in re.findall(r"^roadproof .*--picture \S+.*$", text, re.M):
             (name,) = re.findall(r"--picture (\S+)", line)
             if name in shown:
                 pictures.append((name, shown.pop(name), line, path))
-        for line in re.findall(r"^python -m .*--figures \S+.*$", text, re.M):  # draws whatever else the page shows
+        for line in re.findall(r"^roadproof .*--figures \S+.*$", text, re.M):  # draws whatever else the page shows
             pictures += [(name, alt, line, path) for name, alt in shown.items()]
     return pictures
 

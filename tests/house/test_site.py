@@ -9,9 +9,10 @@ import shlex
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from docs import generate
+from docs import generate, pictures
 from models.common.errors import InputError
 from models.common.schema import keys
 from models.vehicle.controller_section import ControllerSection
@@ -48,14 +49,15 @@ def made():
 
 
 def test_every_page_is_in_a_table_of_contents(made):
-    """No page is lost: each is an entry of one table of contents, and each entry is a page."""
+    """No page is lost: each is an entry of one table of contents, and each entry is a page. A search finds the messages."""
     entries = []
     for name in SITE:
         for block in re.findall(r"^```\{toctree\}\n(.*?)^```", page(name), re.M | re.S):
             folder = (ROOT / name).parent
             named = [line for line in block.splitlines() if line and not line.startswith(":")]
             entries += [posixpath.normpath((folder / line).relative_to(DOCS).as_posix()) for line in named]
-    assert sorted(entries) == sorted(addresses(made) - {"index"})
+    assert sorted(entries) == sorted(addresses(made) - {"index", "reference/messages"})
+    assert "orphan: true" in made["reference/messages"]
     assert all(f"docs/{name}.md".startswith(GENERATED) for name in (*made, "reference/logs"))
     assert all(f"docs/{name}".startswith(GENERATED) for name in generate.drawings())
 
@@ -107,8 +109,8 @@ def test_the_quick_start_prints_what_it_shows(capsys):
 def test_every_command_and_option_has_an_entry(made):
     """The page of commands has each command's every option, as its parser knows them."""
     text = made["reference/commands"]
-    for name, purpose, _ in COMMANDS:
-        part = text.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
+    for verb, (name, purpose, _) in zip(VERBS, COMMANDS, strict=True):
+        part = text.partition(f"\n## roadproof {verb}\n")[2].partition("\n## ")[0]
         assert purpose in part
         options = [each for action in generate.parser_of(name)._actions for each in action.option_strings]
         assert {"--help", "--json"} <= {*options}
@@ -124,7 +126,7 @@ def test_every_key_has_an_entry_and_a_page(made):
     assert {*keys(ImplementationSection)} == {key for key, *_ in sections["[implementation]"]}
     bare = [key for keys in sections.values() for key, _, meaning in keys if not meaning and not generate.shown_in(key)]
     assert bare == []
-    assert all(f"| `{key}` |" in text for keys in sections.values() for key, *_ in keys)
+    assert all(f"`{key}`" in text for keys in sections.values() for key, *_ in keys)
 
 
 def test_every_message_has_an_entry(made):
@@ -159,10 +161,10 @@ def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
 
     `test_pages.py` runs the command, and holds what it draws against the picture.
     """
-    drawn = generate.drawn()
-    assert {*(name for name, *_ in drawn), "car.svg"} == {path.name for path in PICTURES.iterdir()}
+    drawn, others = generate.drawn(), {"car.svg", pictures.ANIMATION.name, pictures.REPORT.name}
+    assert {*(name for name, *_ in drawn), *others} == {path.name for path in PICTURES.iterdir()}
     shown = {name for each in PAGES for name in re.findall(r"!\[[^\]]*\]\([^)]*/([^/)]+)\)", page(each))}
-    assert shown == {*(name for name, *_ in drawn), "car.svg"}
+    assert shown == {*(name for name, *_ in drawn), *others}
     for name, alt, line, _ in drawn:
         assert (PICTURES / name).exists()
         assert re.search(rf"!\[{re.escape(alt)}\]\([^)]*{name}\).*?{re.escape(line)}", made["gallery"], re.S)
@@ -173,6 +175,24 @@ def test_the_home_page_begins_with_a_car_over_a_bump():
     first = re.findall(r"!\[.*/([^/)]+)\)", page("docs/index.md"))[0]
     assert first == "car.svg"
     assert (PICTURES / first).read_text(encoding="utf-8") == generate.car()
+
+
+@pytest.mark.attack
+def test_the_animation_is_drawn_from_a_log(tmp_path):
+    """Frames of README's animation are what `docs/pictures.py` draws from a log that is written now; the file is below 1 MB."""
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    image = pytest.importorskip("PIL.Image", reason="needs the extra [report]")
+    motions = pictures.simulate(tmp_path)
+    drawing, passive = pictures.Drawing(motions), motions["passive"]
+    with image.open(pictures.ANIMATION) as film:
+        assert film.n_frames == pictures.FRAMES
+        for frame in (6, 40):
+            film.seek(frame)
+            shown, drawn = (
+                np.asarray(each, float) for each in (film.convert("RGB"), drawing.at(pictures.frame_time(frame, passive)))
+            )
+            assert (abs(shown - drawn).max(axis=-1) > 64).mean() < 0.01  # letters move with fonts, and WebP blurs edges
+    assert pictures.ANIMATION.stat().st_size < 1_000_000
 
 
 def test_every_command_of_the_questions_is_one():

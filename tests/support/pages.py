@@ -58,7 +58,7 @@ THINNER = {
     "--workers 8": "--workers 1",
 }
 ON_A_SCREEN = ("--open", "--serve")  # test_viewer.py has them
-INSTALLS = "pip install"  # the main job and the tests: .ci/run has them, from nothing
+INSTALLS = re.compile("pip install|git clone|-m venv")  # the main job and the tests: .ci/run has them, from nothing
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,9 @@ class Section:
 
     @property
     def commands(self) -> list[str]:
-        """The lines of its sh blocks, but those that install; `roadproof VERB` is `python -m` of its module."""
-        lines = [line for block in self.blocks("sh") for line in block.splitlines() if line and INSTALLS not in line]
+        """The lines of its sh and bash blocks, but those that install; `roadproof VERB` is `python -m` of its module."""
+        blocks = [*self.blocks("sh"), *self.blocks("bash")]
+        lines = [line for block in blocks for line in block.splitlines() if line and not INSTALLS.search(line)]
         return [re.sub(r"^roadproof (\w+)", lambda verb: f"python -m {VERBS[verb[1]]}", line) for line in lines]
 
 
