@@ -1,10 +1,10 @@
-"""Mass on a spring and a force actuator, both on the road: one degree of freedom, for laws in closed form."""
+"""Mass on a spring and a force actuator, both on the road. With one degree of freedom, optimal laws have closed forms."""
 
 import numpy as np
 
 from models import GRAVITY, LinearModel, Parameter, Suspension, VehicleKind, Wheel, signals
 
-FREE = 0.6  # m, from the road to the mass at rest
+FREE = 0.6  # m, height of the mass above the road in equilibrium
 STATES = (signals.SUSPENSION_DEFLECTION.name, signals.SPRUNG_VELOCITY.name)
 OUTPUTS = (signals.SUSPENSION_DEFLECTION, signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION, signals.CONTROL_FORCE)
 
@@ -19,7 +19,7 @@ def linear_model(p):
 
 
 def static_tyre_deflection(p):
-    """Returns how much the spring is compressed at rest [m]."""
+    """Returns the static compression of the spring [m]."""
     return {STATES[0]: p["mass"] * GRAVITY / p["stiffness"]}
 
 

@@ -1,6 +1,7 @@
 """Half-car whose suspensions are directly on the road, without wheels: the second example of a custom vehicle type.
 
-The equations are those of Simulink's demonstration of a half-car. Its springs feel the road, its dampers the body alone.
+The equations are those of Simulink's demonstration of a half-car. Its springs act between road and body, its dampers only on
+the motion of the body.
 """
 
 import numpy as np
@@ -15,12 +16,12 @@ VELOCITIES = tuple(signals.ROAD_VELOCITY.at(axle) for axle in AXLES)
 HEAVE = signals.Signal("heave_displacement", "z", "m", "height of the body's centre of mass over a level road, up")
 STATES = (*GAPS, signals.HEAVE_VELOCITY, signals.PITCH_RATE)
 OUTPUTS = (*STATES, signals.HEAVE_ACCELERATION, signals.PITCH_ACCELERATION, HEAVE, *FORCES)
-FREE = 0.8  # m, from the road to the body at rest
+FREE = 0.8  # m, height of the body above the road in equilibrium
 
 
 def arms(p):
-    """Returns the distances of the axles forwards of the centre of mass [m]."""
-    return np.array([p["axle_distance_front"], -p["axle_distance_rear"]])  # forwards of the centre of mass
+    """Returns the forward positions of the axles relative to the centre of mass [m]."""
+    return np.array([p["axle_distance_front"], -p["axle_distance_rear"]])
 
 
 def wheelbase(p):
@@ -31,12 +32,12 @@ def wheelbase(p):
 def linear_model(p):
     """Returns the linear model: 4 states, 2 forces [N], 2 roads [m/s], 9 output signals."""
     springs, dampers = (np.diag([2 * p[f"{part}_{axle}"] for axle in AXLES]) for part in ("stiffness", "damping"))
-    ends = np.column_stack([[1, 1], -arms(p)])  # heave and pitch, nose down, to the ends of the body
+    ends = np.column_stack([[1, 1], -arms(p)])  # from heave and pitch (nose down) to the heights at both ends of the body
     inverse = np.diag([1 / p["mass"], 1 / p["pitch_inertia"]])
     A = np.block([[np.zeros((2, 2)), ends], [-inverse @ ends.T @ springs, -inverse @ ends.T @ dampers @ ends]])
     B = np.vstack([np.zeros((2, 2)), inverse @ ends.T])
     Bw = np.vstack([-np.eye(2), np.zeros((2, 2))])
-    share = np.linalg.inv(ends)[0]  # of the ends' heights in that of the centre
+    share = np.linalg.inv(ends)[0]  # shares of the heights at both ends in the height of the centre of mass
     height = np.concatenate([share, [0, 0]])
     C = np.vstack([np.eye(4), A[2:], height, np.zeros((2, 4))])
     D = np.vstack([np.zeros((4, 2)), B[2:], np.zeros((1, 2)), np.eye(2)])
@@ -49,7 +50,7 @@ def linear_model(p):
 
 
 def static_tyre_deflection(p):
-    """Returns how much each axle's springs are compressed at rest [m]."""
+    """Returns the static compression of each axle's springs [m]."""
     front, rear = p["axle_distance_front"], p["axle_distance_rear"]
     weight = p["mass"] * GRAVITY / (front + rear)
     carried = {"front": weight * rear, "rear": weight * front}
