@@ -125,7 +125,10 @@ def stability_of_balanced(A: Array) -> Stability:
 
 
 def sampled_growth(Phi: Array) -> float:
-    """Returns the spectral radius of a finite matrix Phi, shape (n, n). If it is 1 up to rounding, returns exactly 1."""
+    """Returns the spectral radius of a finite matrix Phi, shape (n, n).
+
+    If the radius is 1 up to rounding, returns exactly 1.
+    """
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
