@@ -52,7 +52,7 @@ class BandNorm:
 
     @property
     def words(self) -> str:
-        """One-line text with the norm in the band."""
+        """One-line description of the norm in the band."""
         band = f"{rough(self.low / (2 * np.pi))} to {rough(self.high / (2 * np.pi))} Hz"
         if not np.isfinite(self.value):
             return f"norm from {band}: infinite, as a pole at {rough(self.peak_frequency)} rad/s does not decay"

@@ -160,7 +160,7 @@ class LmiProof:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Texts about the inequalities that are not proved."""
+        """Descriptions of the inequalities that are not proved."""
         failures = []
         if not self.positive.proved:
             failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
@@ -172,7 +172,7 @@ class LmiProof:
 
 
 def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
-    """Returns a text that explains why an inequality is not proved."""
+    """Explains in words why an inequality is not proved."""
     if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or the magnitude of an entry exceeds 1e200"
     if definiteness.smallest <= 0:
@@ -275,7 +275,7 @@ class Certificate(ShownResult):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Texts of warnings about the loop that do not contradict a claim."""
+        """Warnings about the loop that do not contradict a claim."""
         remarks = []
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
@@ -296,7 +296,7 @@ class Certificate(ShownResult):
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Texts of the claims that do not hold; empty if all claims hold."""
+        """Descriptions of the claims that do not hold; empty if all claims hold."""
         if self.gap is None or self.gap >= -BELOW:
             return self.loop_failures
         below = f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}"
@@ -304,7 +304,7 @@ class Certificate(ShownResult):
 
     @property
     def loop_failures(self) -> tuple[str, ...]:
-        """Texts of the claims about the loop alone that do not hold. The lower bound is not checked, as it needs a proof."""
+        """Descriptions of the claims about the loop alone that do not hold; the lower bound is not checked."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)

@@ -10,7 +10,7 @@
 norm), or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on the axis.
 
 Both methods share the transfer function. A modal form of the system, which is cheap to evaluate, only proposes frequencies. The
-returned gains are computed without it, by solving a linear system of equations.
+returned gains are computed without the modal form, by solving a linear system of equations.
 
 The rounding error of the gains is bounded to first order. The bound is large for a very large gain, whose loop A + B G has both
 fast and slow poles. In this case, both methods refine their results with twice the digits, on the loop before it was rounded.

@@ -140,7 +140,7 @@ def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
 
 
 def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
-    """Returns texts of the claims in a record that differ from the recomputed certificate."""
+    """Returns descriptions of the claims in a record that differ from the recomputed certificate."""
     true_record = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:

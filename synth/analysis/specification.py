@@ -44,13 +44,13 @@ class Specification:
 
     @property
     def proved_text(self) -> str:
-        """Text of the proved upper bound."""
+        """Proved upper bound as text."""
         how = f" ({self.proof})" if self.proof else ""
         return "exact" if self.proved is None else "not proved" if self.proved == math.inf else f"{digits(self.proved)}{how}"
 
     @property
     def text(self) -> str:
-        """One-line text of the specification."""
+        """One-line description of the specification."""
         unit = f" {self.unit}" if self.unit else ""
         proved = "" if self.proved is None else f", which is proved to be at most {digits(self.proved)}{unit}"
         if self.proved == math.inf:

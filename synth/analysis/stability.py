@@ -86,7 +86,7 @@ class Stability:
 
     @property
     def words(self) -> str:
-        """One-line text with the verdict and the pole that decides."""
+        """One-line description of the verdict and of the pole that decides."""
         if self.dt is not None:
             where = pole_text(self.worst, self.dt)
             if self.verdict == STABLE:
@@ -125,7 +125,10 @@ def stability_of_balanced(A: Array) -> Stability:
 
 
 def sampled_growth(Phi: Array) -> float:
-    """Returns the spectral radius of a finite matrix Phi, shape (n, n). If it is 1 up to rounding, returns exactly 1."""
+    """Returns the spectral radius of a finite matrix Phi, shape (n, n).
+
+    If the radius is 1 up to rounding, returns exactly 1.
+    """
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
@@ -158,7 +161,7 @@ def rounding(A: Array) -> float:
 
 
 def pole_text(pole: complex, dt: float | None = None) -> str:
-    """Returns a text of a pole or a conjugate pair, with four digits and its unit. A real pole is a rate of growth or decay.
+    """Formats a pole or a conjugate pair with four digits and its unit. A real pole is a rate of growth or decay.
 
     For a discrete loop, z has enough digits to differ from the unit circle.
     """
@@ -310,7 +313,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Returns texts that explain why no controller can stabilise the plant; empty if no single mode prevents it.
+    """Explains why no controller can stabilise the plant. The result is empty if no single mode prevents stabilisation.
 
     Args:
         plant: plant to check. If it has no measurements, every state counts as measured.
@@ -333,7 +336,7 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Returns texts that explain why no static output feedback stabilises the plant; empty if no reason is known.
+    """Explains why no static output feedback stabilises the plant. The result is empty if no reason is known.
 
     The plant must be stabilisable and detectable. A gain moves the sum of the poles by tr(K C_y B), and it multiplies their
     product by det(I - K C_y (-A)^-1 B). For a discrete plant, the same holds for its differences, in which z = 1 corresponds to

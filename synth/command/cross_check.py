@@ -60,7 +60,7 @@ class CrossCheck:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Texts of the disagreements."""
+        """Descriptions of the disagreements."""
         failed, theirs = [], f"Clarabel's optimal gamma of problem {self.problem}, {BOUND.digits(self.theirs)}"
         if self.apart is not None and abs(self.apart) > TOLERANCE:
             failed.append(f"{theirs}, differs from the optimal gamma of this design, {BOUND.digits(self.ours)}")
@@ -70,7 +70,7 @@ class CrossCheck:
 
     @property
     def text(self) -> str:
-        """Text of the result."""
+        """Result of the cross-check as text."""
         if self.theirs is None:
             return f"no cross-check: {self.said}"
         text = f"Clarabel's gamma for {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} from this design"

@@ -318,7 +318,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Returns texts with the expected ride of every controller, at each point of a vehicle with persons; see `_rides_at`."""
+    """Describes the expected ride of every controller, at each point of a vehicle with persons; see `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
@@ -327,7 +327,7 @@ def _rides(designs: Designs) -> list[Statement]:
 
 
 def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> tuple[Statement, ...]:
-    """Returns texts with the expected ride of every controller at a point, and those with a worse ride than passive."""
+    """Describes the expected ride of every controller at a point, and lists controllers with a worse ride than passive."""
     rides, passive = {name: ride for name, ride in known.items() if ride is not None}, known["passive"]
     if not rides.keys() & {row.name for row in designs.rows}:
         return ()

@@ -293,7 +293,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 
 
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
-    """Runs the compiled code on the test vectors. Returns a text with the result, and False if the result is wrong.
+    """Runs the compiled code on the test vectors. Returns the result as text, and False if the result is wrong.
 
     Without a compiler, the code is not run, which does not count as wrong.
     """

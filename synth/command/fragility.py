@@ -71,5 +71,5 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
 
 
 def _between(margin: errors.ErrorMargin) -> str:
-    """Returns a text of the proved tolerance and the smallest harmful error [%]; a dash replaces a missing value."""
+    """Formats the proved tolerance and the smallest harmful error [%]; a dash replaces a missing value."""
     return ", ".join(cell(100 * value if value else None, ".3g") for value in (margin.proved_margin, margin.smallest_violation))

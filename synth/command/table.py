@@ -187,7 +187,7 @@ def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> li
 
 
 def limit_text(limit: LowerBound, plant: Plant) -> str:
-    """Returns a text about the lower bound that no control force changes.
+    """Describes the lower bound that no control force changes.
 
     If a mode must be stabilised, the bound holds for stabilising controllers. At an invariant point, z reaches the bound even
     without control.
@@ -211,7 +211,7 @@ EXPLANATION = (
 
 
 def _difference(row: Row) -> str:
-    """Returns a text of the difference between both norms; "-" if they refer to different signals or are infinite."""
+    """Formats the difference between both norms; "-" if they refer to different signals or are infinite."""
     one, norm = row.controller, row.sampled
     if one is None or one.hardware != NOMINAL or not one.certificate.stable or norm is None or not norm.stable:
         return "-"
@@ -229,7 +229,7 @@ NORMS: tuple[Field[Row], ...] = (
 
 
 def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Statement]:
-    """Returns texts about each controller: its gain or first specification, requested answers, and failures.
+    """Describes each controller: its gain or first specification, requested answers, and failures.
 
     Args:
         rows: controllers, one row each.
@@ -254,7 +254,7 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
 
 
 def _first(row: Row, gains: bool) -> Iterator[str]:
-    """Yields texts: first specification, designed gain if it is short, or natural frequencies of an undamped vehicle."""
+    """Describes a controller by its first specification, its gain if it is short, or its undamped natural frequencies."""
     controller = row.controller
     assert controller is not None
     if lacks_damping(controller):
@@ -284,7 +284,7 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 
 def failures_of(row: Row) -> list[str]:
-    """Returns texts of the failures. The first text has a note about the signs of the gains, if the signs may be the cause."""
+    """Describes the failures. The first description has a note about the signs of the gains, if the signs may be the cause."""
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 

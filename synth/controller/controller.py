@@ -82,7 +82,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def kind(self) -> str:
-        """Text that describes the type of the law, with an article."""
+        """Type of the law in words, with an article."""
         return "a linear law"
 
     @property
@@ -136,7 +136,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def text(self) -> str:
-        """One-line text of the law."""
+        """One-line description of the law."""
         ahead = "" if self.preview is None else f", and the road {self.preview.seconds:g} s ahead"
         return f"{self.law.text}{ahead}" if self.measured else "no control force"
 
@@ -167,12 +167,12 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def unmet_specifications(self) -> tuple[str, ...]:
-        """Texts of the specifications that do not hold, or are not proved."""
+        """Descriptions of the specifications that do not hold, or are not proved."""
         return tuple(f"specification not met: {promise.text}" for promise in self.specifications if not promise.holds)
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Texts of the claims of its certificate and of its specifications that do not hold."""
+        """Descriptions of the claims and specifications that do not hold."""
         return (*self.certificate.failures, *self.unmet_specifications)
 
     @check_arguments

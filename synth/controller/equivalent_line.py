@@ -10,9 +10,9 @@ The slope changes by d_i at the knot k_i. phi is the normal density, and Q its u
 for piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos,
 Random Vibration and Statistical Linearization, 1990, chapter 5).
 
-The linear vehicle with these slopes has other values of m and s. The computation is therefore iterated until slopes, m and s
-are consistent. An asymmetric damper has a mean force, which the springs carry, so the body height changes (the damper jacks the
-body down).
+The linear vehicle with these slopes has a different mean m and standard deviation s. The computation is therefore iterated
+until slopes, m and s are consistent. An asymmetric damper has a mean force, which the springs carry, so the body height changes
+(the damper jacks the body down).
 
 If two wheels share a parameter, the mean of their slopes is used, because road and car are the same on both sides.
 """

@@ -64,7 +64,7 @@ class LawMargins:
 
     @property
     def own_force(self) -> str:
-        """Text about the direct feedback of a law that cannot be sampled; empty for other laws."""
+        """Description of the direct feedback of a law that cannot be sampled; empty for other laws."""
         if self.direct_feedback < 1:
             return ""
         times = SHARE.digits(self.direct_feedback)
@@ -72,7 +72,7 @@ class LawMargins:
 
     @property
     def instability(self) -> str:
-        """Text about the instability of the law itself and its windup; empty if the law is stable."""
+        """Description of the instability of the law itself and its windup; empty if the law is stable."""
         if not self.growth:
             return ""
         return f"unstable by itself (+{rough(self.growth)} 1/s)" + (f", winds up {self.winds_up}" if self.winds_up else "")
@@ -85,12 +85,12 @@ class LawMargins:
 
     @property
     def pair(self) -> str:
-        """Text of gain margin and disk margin as a pair; "-" replaces a gain margin that is not small."""
+        """Gain margin and disk margin as text; "-" replaces a gain margin that is not small."""
         return f"{'-' if self.nearest is None else _factor(self.nearest)}/{_disk(self.disk or 0.0)}"
 
     @property
     def small(self) -> str:
-        """Text of the small margins; empty if no margin is small."""
+        """Small margins as text; empty if no margin is small."""
         texts = [f"gain margin {_factor(self.nearest)}"] if self.nearest is not None else []
         texts += [f"disk margin {_disk(self.disk)}"] if self.disk is not None and self.disk < LEAST_DISK else []
         return ", ".join(texts)
@@ -157,7 +157,7 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
 
 
 def _clipped_forces(vehicle: Vehicle) -> str:
-    """Returns a text about the limit that clips the forces; empty if the forces are not clipped."""
+    """Describes the limit that clips the forces. The result is empty if the forces are not clipped."""
     if (force := vehicle.limits.actuator_force) is not None:
         return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"
     if (rate := vehicle.limits.force_rate) is not None:
@@ -216,7 +216,7 @@ def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
 
 
 def _factor(factor: float) -> str:
-    """Returns a text of a factor and its value in dB.
+    """Formats a factor and its value in dB.
 
     The factor has two significant digits of its distance from 1, and at most six decimals.
     """
@@ -226,10 +226,10 @@ def _factor(factor: float) -> str:
 
 
 def decibels(factor: float) -> str:
-    """Returns a text of a positive factor in dB."""
+    """Formats a positive factor in dB, with the unit."""
     return GAIN.text(20 * math.log10(factor))
 
 
 def _disk(size: float) -> str:
-    """Returns a text of a disk margin and of the corresponding phase margin in degrees."""
+    """Formats a disk margin and the corresponding phase margin in degrees."""
     return f"{size:#.2g} ({TURN.digits(DiskMargin(size, math.nan).phase)})"

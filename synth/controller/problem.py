@@ -436,7 +436,8 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     """Returns the effect of the road's warp as a separate disturbance, shapes (n, k) and (len(signals), k).
 
     As an integral of the road velocity, a constant warp would be unbounded. As a separate disturbance, the warp is bounded. The
-    warp is scaled by the rate of wheel hop (`LinearModel.twist_rate`), and the bound holds for warp and velocities together.
+    warp is scaled by the rate of wheel hop (`LinearModel.twist_rate`). The bound then holds for warp and road velocities
+    together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)

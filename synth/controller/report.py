@@ -93,13 +93,13 @@ PROVED_NORM = Record[SampledNorm](
 
 
 def built_words(vehicle: Vehicle) -> str:
-    """Returns a text about the linear parts of an implementation, which its norm includes."""
+    """Describes the linear parts of an implementation, which its norm includes."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns texts of the failed checks of a sampled-data norm."""
+    """Describes the failed checks of a sampled-data norm."""
     if norm is None or not norm.stable:
         return ()
     if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
@@ -122,7 +122,7 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
 def failures_of_sampled_loop(
     vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
 ) -> tuple[str, ...]:
-    """Returns texts of the failures of the sampled-data loop: those of the continuous loop that still apply, and its own."""
+    """Describes the failures of the sampled-data loop, and those of the continuous loop that still apply."""
     excused = instability_cured_by_sampling(vehicle, certificate, norm)
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
@@ -135,7 +135,7 @@ def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: Samp
 def false_norm(
     record: Mapping[str, Any] | None, vehicle: Vehicle, norm_of_loop: Callable[[], SampledNorm | None]
 ) -> tuple[str, ...]:
-    """Returns texts of the false claims in a record about the norm of the sampled-data loop.
+    """Describes the false claims in a record about the norm of the sampled-data loop.
 
     Args:
         record: checked certificate; None if the controller has no certificate.
@@ -161,7 +161,7 @@ SHORT = 1e-6  # relative gap in gamma below which the path counts as completed
 
 
 def law_text(law: LinearLaw) -> str:
-    """Returns a text of a law: the gain of a static law, otherwise its equations and, for a PI or PID law, its gains."""
+    """Formats a law: the gain of a static law, otherwise its equations and, for a PI or PID law, its gains."""
 
     if not law.states:
         return f"gain {gain_text(law.D)}"
@@ -169,7 +169,7 @@ def law_text(law: LinearLaw) -> str:
 
 
 def pid_line(controller: Controller) -> str:
-    """Returns a text of the gains of a designed PI or PID law, as in a vehicle file; empty for other laws."""
+    """Formats the gains of a designed PI or PID law as in a vehicle file. The result is empty for other laws."""
     pid = FEATURES.load("PID laws")
     remarked = (remark.partition(pid.ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
     return next(filter(None, remarked), "") or pid.pid_text(controller.law)

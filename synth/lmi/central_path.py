@@ -71,7 +71,7 @@ class CentralPoint:
         X: matrix of (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). K acts on the q coordinates that R spans.
         eta: gamma^-2 of the point. The optimal eta is higher by at most (2 n + d) mu.
-        mu: parameter of the path, relative to eta.
+        mu: parameter of the path, divided by eta.
         proof: an X that proves the bound, if `X` itself does not because of states that are unobservable in z; else None.
     """
 
@@ -111,8 +111,8 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q), such that [Q R] is regular.
-        mu: value of mu / eta at the end of the path. The default is close to the limit; a larger value ends farther from the
-            optimum.
+        mu: parameter of the path at its end, relative to eta. The default is close to the limit; a larger value ends farther
+            from the optimum.
 
     Returns:
         Points with eta > 0 in order of decreasing mu. Each mu is a tenth to a hundredth of the previous mu.

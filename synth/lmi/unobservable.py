@@ -147,7 +147,7 @@ def _null(M: Array) -> Array:
 
 
 def _dual_basis(out: Array, T: Array) -> Array:
-    """Returns the dual basis of `out`, shape (n, k). In coordinates T x, it is orthogonal to the complement of `out`.
+    """Returns the dual basis of `out`, shape (n, k). In coordinates T x, this basis is orthogonal to the complement of `out`.
 
     Args:
         out: matrix with orthonormal columns, shape (n, k).

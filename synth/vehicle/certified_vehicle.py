@@ -28,7 +28,7 @@ def vehicle_record(vehicle: Vehicle) -> dict[str, dict[str, float]]:
 
 
 def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
-    """Returns a text about how a vehicle differs from the certified vehicle; empty if this is not known.
+    """Describes how a vehicle differs from the certified vehicle. The result is empty if this is not known.
 
     Args:
         vehicle: vehicle from the vehicle file.
@@ -47,7 +47,7 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
 
 
 def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:
-    """Returns texts of the numbers that differ from those of the certified vehicle."""
+    """Describes the numbers that differ from those of the certified vehicle."""
     texts, units = list[str](), {one.name: f" {one.unit}" for one in vehicle.kind.parameters}
     for section, now in vehicle_record(vehicle).items():
         before = then.get(section, {})

@@ -113,7 +113,7 @@ class Designer:
         self._pushing: Designer | None = None  # designer of the vehicle with force actuators instead of semi-active dampers
 
     def __repr__(self) -> str:
-        """Returns a text with the type and the file of the vehicle."""
+        """Returns the type and the file of the vehicle as text."""
         return f"Designer of {self.vehicle.summary.title}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
@@ -347,7 +347,9 @@ class Designer:
         return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """Recomputes the certificate of a given law from its proofs. Returns the certificate and texts of the claims that fail.
+        """Recomputes the certificate of a given law from its proofs.
+
+        Returns the certificate and descriptions of the claims that fail.
 
         Raises:
             InputError: the certificate is malformed.

@@ -62,7 +62,10 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
 
 
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
-    """Returns a text that explains why a stable loop has no equivalent linear vehicle; empty if this is not the case."""
+    """Explains why statistical linearisation of a stable loop fails.
+
+    The result is empty if the expected ride is missing for another reason.
+    """
     curved = vehicle.parts.nonlinear and controller.certificate.stable and vehicle.ride_points.worst_of
     from synth.controller.equivalent_line import without_curve
 

@@ -4,8 +4,8 @@ Remark 4: with the states (30), problem (25) has no solution for L = 0. With z_s
 [33], it has a solution for controller I and none for II. With these states, w is the road height, because the road velocity
 would require an additional state. The output z is the same.
 
-Remark 5: in [19], controller I was found by a genetic algorithm. `differential_evolution` represents this type of search here.
-This search uses only the norm of a gain, within a given box. The result depends on the box and on the seed.
+Remark 5: in [19], controller I was found by a genetic algorithm. Here, `scipy.optimize.differential_evolution` represents this
+type of search. This search uses only the norm of a gain, within a given box. The result depends on the box and on the seed.
 """
 
 import math

@@ -34,7 +34,7 @@ class RefinedController:
 
     @property
     def trade_off_text(self) -> str:
-        """Text about the trade-off of the refinement."""
+        """Trade-off of the refinement in words."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 

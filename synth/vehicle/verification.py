@@ -52,7 +52,7 @@ class Verification:
 
     @property
     def names(self) -> list[str]:
-        """Texts that identify the vehicles of the family; a single empty text without a family."""
+        """Descriptions of the vehicles of the family; a single empty text without a family."""
         factors = [" and ".join(f"{name} x {by:g}" for name, by in member.items()) for member in self.goals.family]
         return [f"vehicle {i}, {text or 'unchanged'}" for i, text in enumerate(factors)] or [""]
 
@@ -172,7 +172,7 @@ class Verification:
     def decay(self, rate: float) -> list[Specification]:
         """Returns the specifications of the slowest pole in the family: without gain errors and, if given, with the worst ones.
 
-        With errors, the proof is the stability of loops whose poles are shifted to the right by the rate.
+        With gain errors, all poles are shifted to the right by the rate. The decay is proved if the shifted loops are stable.
         """
         slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]
         i = int(np.argmax(slowest))

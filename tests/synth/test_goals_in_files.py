@@ -68,7 +68,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
     assert "norm from 4 to 8 Hz" in capsys.readouterr().out
     saved.write_text(saved.read_text().replace('"norm" = 9.63', '"norm" = 7.8').replace("norm = 9.63", "norm = 7.8"))
     assert main_of("synth")(["--check", str(saved)]) == 1
-    assert "not kept: norm" in " ".join(capsys.readouterr().out.split())
+    assert "not met: norm" in " ".join(capsys.readouterr().out.split())
 
 
 def test_what_is_no_bound_is_offered_every_kind():

@@ -151,7 +151,7 @@ def test_printed_saved_and_checked():
     assert json.loads(checked.out)["controllers"][0]["promises"] == row["promises"]
     asks_more = printed("synth", "--check", "new.toml", files={"new.toml": new.replace("[3.0, 18.516402]", "[60.0, 370.0]")})
     assert asks_more.code == 1
-    assert "not kept: robust stability (mu)" in asks_more.out
+    assert "not met: robust stability (mu)" in asks_more.out
 
 
 @pytest.mark.attack

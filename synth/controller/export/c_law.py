@@ -140,7 +140,7 @@ def exported_law(
     ranges: Mapping[str, float] | None = None,
     sources: Mapping[str, str] | None = None,
 ) -> ExportedLaw:
-    """Returns a controller in the form in which it is exported.
+    """Converts a controller to the form in which it is exported.
 
     Args:
         vehicle: vehicle with its limits and implementation.

@@ -113,7 +113,7 @@ def functions_of(version: int) -> str:
 
 
 def zip_files(files: Mapping[str, bytes]) -> bytes:
-    """Returns a zip of files. Its bytes depend only on the names and contents of the files."""
+    """Returns a zip of files, whose bytes depend only on the names and contents of the files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(files):

@@ -96,7 +96,7 @@ def _cheap(one: Cost) -> AtRate:
 
 
 def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
-    """Returns a text of the relative change of a norm from the continuous norm; "UNSTABLE" if the loop is unstable."""
+    """Formats the relative change of a norm from the continuous norm; "UNSTABLE" if the loop is unstable."""
     norm = kind(at)
     if norm is None or not norm.stable:
         return "UNSTABLE" if norm is not None else "-"
@@ -106,7 +106,7 @@ def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
 
 
 def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
-    """Returns a text of a norm and its relative change."""
+    """Formats a norm and its relative change."""
     norm, loss = kind(at), _loss(one, kind, at)
     if norm is None or not norm.stable:
         return loss
@@ -114,7 +114,7 @@ def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
 
 
 def _highest_unstable_rate(period: float) -> str | None:
-    """Returns a text of the highest unstable rate; None if all rates are stable. A period of 0 means that no rate is stable."""
+    """Formats the highest unstable rate; None if all rates are stable. A period of 0 means that no rate is stable."""
     return None if math.isinf(period) else UNSTABLE_RATE.digits(1 / (period or SHORTEST))
 
 
@@ -122,7 +122,7 @@ UNSTABLE_RATE = Field[float]("rate", float, ".3g", unit="Hz")
 
 
 def failures(one: Cost) -> list[str]:
-    """Returns texts of the failed checks of the norms."""
+    """Describes the failed checks of the norms."""
     name = one.controller.name
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"

@@ -1,4 +1,4 @@
-"""Axes of a trade-off and their landscapes. Each axis is a norm that is minimised and proved."""
+"""Axes of a trade-off and their landscapes. Each axis is a norm to be minimised, with a proved bound."""
 
 import re
 from collections.abc import Mapping

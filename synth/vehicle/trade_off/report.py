@@ -76,7 +76,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
 
 
 def _results(front: Front) -> list[str]:
-    """Returns texts: the range of the front on each axis, and the number of designs that dominate each other controller."""
+    """Describes the range of the front on each axis, and the number of designs that dominate each other controller."""
     columns = zip(front.axes, front.values.T, strict=True)
     ends = ", ".join(f"{axis.name} from {VALUE.digits(values.min())} to {VALUE.digits(values.max())}" for axis, values in columns)
     beaten = {}
@@ -153,7 +153,7 @@ def _limit_texts(front: Front) -> list[str]:
 
 
 def _gain(point: Point) -> str:
-    """Returns a text of all entries of the gain if they fit on a line; otherwise their number."""
+    """Formats all entries of the gain if they fit on a line; otherwise returns their number as text."""
     entries = point.controller.gain.ravel()
     return " ".join(map(entry, entries)) if len(entries) <= 4 else f"{len(entries)} entries"
 
