@@ -157,7 +157,7 @@ def batch_of(
     """Returns the batch of several cases at sample times from 0 [s].
 
     Args:
-        numbers: indices of the cases among all cases.
+        numbers: index of each case in the list of all cases.
         streamed: True for inputs that do not store their road heights. This avoids storing all samples twice.
         failures: dictionary that receives the failures of Python control laws; None to raise the first failure.
     """

@@ -61,7 +61,8 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
 def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, Array]:
     """Returns the damper signals of a linear response in which all requested forces act.
 
-    The coefficients are those that these forces need. The missing forces are those that real dampers would not supply.
+    The coefficients in the result would produce these forces. The missing forces in the result are the part that a real damper,
+    with its limited range, would not supply.
 
     Args:
         states: states of the vehicle at the samples, shape (T, n).

@@ -1,7 +1,7 @@
-"""Exact linear response to known forces, for controllers without linear analysis. With characteristics, it is that of RK4.
+"""Exact linear response to known forces, for controllers without linear analysis.
 
-The equations are those of `sim.linear.sampled_response`. The forces u[k], which are held from one sample to the next, are
-given, and no loop is closed:
+With nonlinear characteristics, the response is that of RK4. The equations are those of `sim.linear.sampled_response`. The forces
+u[k], which are held from one sample to the next, are given, and no loop is closed:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k).
 """

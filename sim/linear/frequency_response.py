@@ -11,8 +11,8 @@ The response is then its component at omega, over all steps of a period.
 Preview adds to the requested forces a sum over the coming samples, at intervals T, of the weights times exp(j omega i T). In
 continuous time, it adds the integral of F(s) exp(j omega s).
 
-A suspension force F exp(j omega t) may act in addition. Like the road, it is held over each step at its midpoint, and it does
-not make any state jump. The responses to this force, per newton, are appended to the responses to the road.
+A suspension force F exp(j omega t) may act in addition. Like the road, this force is held over each step at its midpoint. No
+state jumps with this force. The responses to this force, per newton, are appended to the responses to the road.
 """
 
 from collections.abc import Callable, Sequence
@@ -81,8 +81,9 @@ def stepwise_frequency_response(
     Arguments as for `sampled_frequency_response`.
 
     Returns:
-        The values, complex, shape (steps + 1, F, p, r + e). The last value is the first of the next period. Then the jumps of
-        the outputs when the next held force begins, shape (steps, F, p, r + e). Outputs behind a lag do not jump.
+        The values, complex, shape (steps + 1, F, p, r + e). The last value is the first of the next period. The second array
+        contains the jumps of the outputs when the next held force begins, shape (steps, F, p, r + e). Outputs behind a lag do
+        not jump.
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, linalg.expm, pulls)
     return stepwise_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -136,8 +137,8 @@ class WorstSinusoid:
     The gain is relative to the road height or, if the road has a filter, to the filter's input w.
 
     Attributes:
-        gain: ||z|| / ||w||. With one wheel, this is the H-infinity norm. With several wheels, it is a lower bound on the norm,
-            because all wheels follow the same road.
+        gain: ||z|| / ||w||. With one wheel, this is the H-infinity norm. With several wheels, the gain is a lower bound on the
+            norm, because all wheels follow the same road.
         omega: angular frequency of the sinusoid [rad/s].
     """
 
@@ -163,8 +164,8 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
 def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
     """Returns the largest gain from the road under the wheels to z, and its frequency.
 
-    By Parseval's theorem, this is the largest L2 gain for all roads with frequencies below `highest`. With one wheel, it is the
-    H-infinity norm.
+    By Parseval's theorem, this is the largest L2 gain for all roads with frequencies below `highest`. With one wheel, this gain
+    is the H-infinity norm.
 
     Args:
         response: function that returns the frequency response, shape (F, p, r), at angular frequencies [rad/s], shape (F,).

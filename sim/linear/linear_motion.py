@@ -30,9 +30,9 @@ def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts:
         acts: True for each suspension with forces that the linear model does not contain.
 
     Returns:
-        Gains from states and from road heights to the deflections followed by their rates, shapes (2 s, n) and (2 s, r). Then
-        the gains from the contracting forces of the suspensions to the rates of the states and to the outputs, shapes (n, s)
-        and (p, s).
+        Gains from states and from road heights to the deflections followed by their rates, shapes (2 s, n) and (2 s, r). The
+        last two arrays are the gains from the contracting suspension forces to state rates and to outputs, shapes (n, s) and
+        (p, s).
 
     Raises:
         ValueError: the effect of a force along a suspension is unknown.

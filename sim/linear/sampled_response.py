@@ -22,10 +22,10 @@ Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Ove
 The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding for a smooth road. A step with
 a kink of the road is divided at the kink.
 
-Preview. The forces from the road ahead are added to those of the gain. In the sampled loop, they are known sums over the road
-heights. In the continuous loop, they are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r, which
-decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. For y = x - P g, only the road remains on the
-right-hand side, and g is computed separately:
+Preview. The forces from the road ahead are added to those of the gain. In the sampled loop, the preview forces are known sums
+over the road heights. In the continuous loop, the preview forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d =
+Bp z_r' + Hp z_r, which decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. For y = x - P g, only
+the road remains on the right-hand side, and g is computed separately:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
 """
@@ -175,7 +175,7 @@ def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
 
 
 def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
-    """Returns g at the samples, shape (T, k), the matrix P, shape (n, k), and the input of y over the steps, shape (T, n).
+    """Returns g, P and the road's contribution to y over each step, see the module docstring; shapes (T, k), (n, k) and (T, n).
 
     The evaluation of a random road takes most of the time, so every quadrature node is used for all three integrals.
 

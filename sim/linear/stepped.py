@@ -257,8 +257,8 @@ class _Laws:
 
         Args:
             sample: index of the sample.
-            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The inputs are those that have
-                acted until now.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. These inputs have acted until
+                now.
             law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]

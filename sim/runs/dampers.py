@@ -1,4 +1,4 @@
-"""Semi-active dampers in a run: the part of the requested force that they did not supply."""
+"""Missing force in a run: the part of the requested force that semi-active dampers did not supply."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

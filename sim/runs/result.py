@@ -51,7 +51,7 @@ class RunResult:
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None for a run without its energy balance.
         energy: energy balance, or None if it is not computed.
         half_step: accuracy of the simulation after a lift-off. None if no tyre lifted off, or the run became invalid. None also
-            if the measurements are noisy or quantised, because they differ at another time step.
+            if the measurements are noisy or quantised, because noise and quantisation differ at another time step.
     """
 
     prediction: Prediction

@@ -114,7 +114,7 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
     """Returns a design with a lower norm, the growth of its gain, its start, and a remark; None if there is no such design.
 
     The descents start from the gain of the two steps and, if all states are measured, from that of a Riccati equation. Both
-    stay in one local minimum. If they end far above the lower bound, further minima are searched.
+    descents stay in one local minimum. If this minimum is far above the lower bound, further minima are searched.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.growth import price

@@ -63,10 +63,10 @@ def design_feedback(
 ) -> FeedbackDesign:
     """Designs a controller for any plant, with certificate, design method, and the reason for this method.
 
-    The default is a static gain with the smallest H-infinity norm. The paper's two steps design it. Descent follows if their
-    norm is more than 0.1 % above the lower bound, or if they find no gain. The arguments are the keys of a controller's section
-    in a vehicle file, and the same combinations are allowed. The measurements of a plant are named y1, y2, ..., its forces u1,
-    u2, ..., and the rows of z are named z1, z2, ...
+    The default is a static gain with the smallest H-infinity norm. The paper's two steps design it. Descent follows if the norm
+    of the two steps is more than 0.1 % above the lower bound, or if the two steps find no gain. The arguments are the keys of a
+    controller's section in a vehicle file, and the same combinations are allowed. The measurements of a plant are named y1, y2,
+    ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
 
     Args:
         plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
@@ -85,8 +85,8 @@ def design_feedback(
         minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
         bounds: bounds on other quantities, for example [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: largest relative gain errors of measurements and forces, for example {"y1": 0.1, "force": 0.05}.
-        family: further plants for the same gain. The largest norm of all plants counts. By default, they have the measurements
-            Cy.
+        family: further plants for the same gain. The largest norm of all plants counts. By default, these plants have the
+            measurements Cy.
         structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. With a number of
             states as `order`, each force has its own law with this number of states. The text "pi" or "pid" selects this type
             of law from each measurement to its force.

@@ -9,7 +9,7 @@ These pairs form a convex set for every matrix L, and each pair gives a gain K. 
 nor on units.
 
 The functions before `well_posed` are the paper's formulas. The functions after it choose independent measurements and units. If
-step 2 has no solution for the optimal X of step 1, they take X from an earlier point of the central path.
+step 2 has no solution for the optimal X of step 1, these functions take X from an earlier point of the central path.
 `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 

@@ -296,7 +296,7 @@ def test_words_that_need_others_or_are_none():
         ({"order": "half"}, "order = 'half' is not known; known: full, static"),
         ({"design": "pid"}, "design = 'pid' is not known; known: h2, lqg, lqr"),
         ({"noise": [0.1, 0.1]}, r"noise = \[0.1, 0.1\] is not allowed; give 1 numbers"),
-        ({"bounds": peak}, "bounds: a peak over a road needs a vehicle"),
+        ({"bounds": peak}, "bounds: a peak over a road is for vehicles only"),
         ({"minimise": {"signals": {"z9": 1.0}}}, "minimise.signals: unknown signal 'z9'; give one of z1, z2"),
         ({"structure": [[1, 1]]}, "structure = .* is not allowed; give"),
         ({"order": 3}, "order = 3 exceeds the 2 states of the plant; give at most 2"),

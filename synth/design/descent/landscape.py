@@ -361,8 +361,8 @@ class Landscape:
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
         """Returns the weighted sum of the second derivatives of the peaks at which the cuts are, shape (N, N).
 
-        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. With q = (u, v) / sqrt 2, it is the
-        eigenvalue of J = [0 T; T' 0] that belongs to q. Perturbation theory gives its second derivatives over x and omega.
+        A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. This maximum is the eigenvalue of J =
+        [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives its second derivatives over x and omega.
         Since omega follows its maximum, the Hessian loses one rank. Terms with nearly equal eigenvalues are omitted, because
         cuts of mixed vectors represent them.
         """

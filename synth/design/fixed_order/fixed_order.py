@@ -95,7 +95,7 @@ def fixed_order_design(
         states: names of the states, for messages.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that runs, as in `full_order_design`.
-        known: laws of this structure, also with fewer states. If they are given, the search starts only from them.
+        known: laws of this structure, also with fewer states. If laws are given, the search starts only from these laws.
         on_found: function that receives the best law of the previous order before the search for the next order.
         work: counter of the norms. If its limit is exceeded, the best law so far is returned. The default limit is about 14 s
             of processor time for a plant with 8 states.

@@ -9,7 +9,7 @@ The feedback is that of LQR, so preview does not change the poles. Preview reduc
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
 
-The mean square falls as T grows, and for T = 0 it is that of LQR. The integral is computed with a Lyapunov equation.
+The mean square falls as T grows. For T = 0, the mean square is that of LQR. The integral is computed with a Lyapunov equation.
 """
 
 from collections.abc import Sequence

@@ -2,9 +2,9 @@
 
 The equations are those of Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
 are theirs: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats. The equations require D and Dyw of full rank, and no
-zero from u to z or from w to y on the imaginary axis. If D11 is not zero, they require D12 = [0; I] and D21 = [0 I]. Therefore
-z and w are rotated, u and y are scaled, and the result is transformed back. Near the smallest gamma with a solution, the
-solvers return wrong solutions, so each solution is checked.
+zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations require D12 = [0; I] and D21 = [0 I].
+Therefore z and w are rotated, u and y are scaled, and the result is transformed back. Near the smallest gamma with a solution,
+the solvers return wrong solutions, so each solution is checked.
 
 The order of a law is reduced in two ways. Neither guarantees a good loop, so the loop of a reduced law is checked again.
 

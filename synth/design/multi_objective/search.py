@@ -299,7 +299,7 @@ class MinimaxSearch:
         return x, evaluation
 
     def add_violating_errors(self, x: Array, evaluation: Evaluation) -> bool:
-        """Searches for gain errors that worsen the point, and activates them. Returns True if there were any."""
+        """Searches for gain errors that worsen the point, and activates these errors. Returns True if it finds such errors."""
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)

@@ -254,7 +254,7 @@ def cover(
     form: Callable[[Array], MultiplierForm],
     most: int = MOST_PARTS,
 ) -> tuple[float, float] | None:
-    """Adds intervals that prove a bound until they cover a band. Returns None if they do.
+    """Adds intervals that prove a bound until the intervals cover a band. Returns None if the band is covered.
 
     Otherwise returns the smallest provable bound and the frequency where the proof fails. This bound is infinite if no bound
     can be proved, or if more than `most` intervals are needed.
@@ -298,7 +298,7 @@ class _Search:
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
         """Adds intervals that prove a bound, see `cover`.
 
-        Returns None if they cover the band, else the bound needed at a frequency.
+        Returns None if the band is covered, else the bound that is needed.
         """
         step = max(parts[-1].high if parts else low, low, self.fastest / 100) / 4
         higher = cover(parts, (low, high), step, partial(self.multipliers, gamma=gamma), partial(self.form, gamma=gamma))
@@ -390,7 +390,7 @@ def _lowest(blocks: Sequence[Block], p: Array, enough: float, close: float = np.
 
 
 def _real(M: Array) -> Array:
-    """Returns real symmetric matrices, shape (..., 2 k, 2 k), that are positive definite if the Hermitian ones are."""
+    """Returns real symmetric matrices, shape (..., 2 k, 2 k), that are positive definite if the given Hermitian matrices are."""
     real, imaginary = np.real(M), np.imag(M)
     upper, lower = (np.concatenate(pair, axis=-1) for pair in ((real, -imaginary), (imaginary, real)))
     return np.concatenate([upper, lower], axis=-2)

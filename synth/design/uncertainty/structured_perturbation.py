@@ -3,8 +3,8 @@
 At one frequency, the structured singular value is the largest spectral radius of Q M over all unitary Q with the structure of
 the errors (Doyle 1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value,
 CDC) searches for this Q. Any Q gives a lower bound. A stable first-order all-pass can have the phase of an error at this
-frequency, so the errors become linear systems of equal norm. The result is true for the loop with these errors: an infinite
-norm if they make it unstable, otherwise the norm of this loop.
+frequency, so the errors become linear systems of equal norm. The resulting value is computed for the loop with these errors. It
+is infinite if the loop is unstable, and otherwise the norm of the loop.
 """
 
 from collections.abc import Sequence
