@@ -146,7 +146,7 @@ class Study(Generic[R]):
         return {}
 
     def for_page(self, result: R) -> Any:
-        """Returns the part of a result that the report needs. It may come from another process, so it must be picklable."""
+        """Returns the part of a result that the report needs; picklable, because it may come from another process."""
         return result
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":

@@ -178,7 +178,8 @@ commands that drive                                            1046    989    42
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   5237   1603
-    tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
+    tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
+    tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md

@@ -218,7 +218,7 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
     """Returns the frequencies of the largest images [rad/s]: sinusoids that sampling adds at sums with the sample rate.
 
-    They exist only if the sample period of the controller is longer than the timestep.
+    Images exist only if the sample period of the controller is longer than the timestep.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     rate = 2 * np.pi / (steps * timestep)

@@ -79,7 +79,7 @@ class Gaussian:
         return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
     def mean_square_variance(self, window: float, clip: float) -> float:
-        """Returns the variance of the mean of min(x, clip)^2 over a window [s]. It is at most the variance at one instant."""
+        """Returns the variance of the mean of min(x, clip)^2 over a window [s], which is at most the variance at one instant."""
         if not self.sigma:
             return 0.0
         square = float(self.share @ self.spectrum**2) / (4 * self.sigma**4)  # integral of rho^2 from 0 to infinity

@@ -100,7 +100,7 @@ PER_DISTANCE = OverRuns("mean by distance", lambda values, distances: values @ d
 
 @dataclass(frozen=True)
 class Column:
-    """Column in the table of controllers. It shows the largest value of a metric over the points of the vehicle.
+    """Column in the table of controllers, which shows the largest value of a metric over the points of the vehicle.
 
     Attributes:
         label: heading.

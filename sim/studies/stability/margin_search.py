@@ -46,7 +46,7 @@ class GainMargin:
         own: predicted margin of the continuous loop.
         sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
         search: search for the margin at the given timestep.
-        finer: search at half the timestep, or at a smaller step. It runs only if it is needed.
+        finer: search at half the timestep, or at a smaller step, which runs only if it is needed.
         coarser: search at twice the step of `finer`; None if this is `search`.
     """
 

@@ -1,6 +1,6 @@
 """Comparison of runs with a measured log: alignment in time by correlation, and the fit of each signal.
 
-The fit is 1 - rms(measured - MuJoCo) / rms(measured). It is 1 for equal signals, and 0 if the run has no motion. The signals
+The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, and 0 if the run has no motion. The signals
 are compared at the sample times of the run or of the log, whichever has the larger sample period.
 """
 

@@ -277,7 +277,7 @@ def _markers(cells: Cells, places: Array) -> list[Curve]:
 
 
 def _marks(points: Array, label: str, marker: Marker) -> Curve:
-    """Returns markers at points, shape (N, 2). They are black, which is legible on all colours of a map."""
+    """Returns markers at points, shape (N, 2). Black is legible on all colours of a map."""
     return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 
