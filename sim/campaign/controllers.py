@@ -1,4 +1,4 @@
-"""The controllers of a campaign, which are designed when the campaign begins and do not change while it continues.
+"""The controllers of a campaign, which are designed when the campaign begins and do not change while the campaign continues.
 
 The results folder stores the gains, but not laws in Python. The files of these laws must not change while the campaign
 continues.

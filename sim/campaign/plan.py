@@ -267,7 +267,7 @@ class Progress:
 
         Args:
             runs: number of finished runs.
-            took: time that one worker spent on them [s].
+            took: time that one worker spent on these runs [s].
         """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs

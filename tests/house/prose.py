@@ -128,7 +128,7 @@ class Finding(NamedTuple):
 
 def blocks(text: str) -> Iterator[list[str]]:
     """Yields the sentences of each paragraph, list item, table cell and entry."""
-    for block in re.split(rf"\n\s*\n|\n\s*(?=[-*|#>]|\d+\. |{ENTRY})|\|", re.sub(NO_PROSE, "\n\n", text, flags=re.MULTILINE)):
+    for block in re.split(rf"\n\s*\n|\n\s*(?=[-*|#>]|\d+\. |{ENTRY})|\s\|\s", re.sub(NO_PROSE, "\n\n", text, flags=re.MULTILINE)):
         if plain := re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", " ".join(block.split())).lstrip("-*#> "):
             yield re.split(r"(?<=[.!?])\s+(?=[A-Z(\"*\[`])", plain)
 

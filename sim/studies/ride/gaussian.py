@@ -215,7 +215,7 @@ def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> f
     r = min(max(covariance / (x * y), -1.0), 1.0) if x * y else 0.0
     if not mean:
         return x * y * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
-    # For a given Y of z standard deviations, X is Gaussian with a conditional mean and deviation, so its positive part is known.
+    # If Y equals z standard deviations, X is Gaussian with a conditional mean and deviation, so the mean positive part is known.
     z, left = LEVELS, max(x * math.sqrt(1 - r**2), 1e-9 * (x + abs(mean)))
     total = np.zeros_like(z)
     for side in (1.0, -1.0):

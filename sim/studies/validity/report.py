@@ -186,7 +186,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         vehicle: the vehicle.
         ends: end of the linear regime for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
-        where: name of the road on which they disagree.
+        where: name of the road on which these runs disagree.
         bump: bump whose length and speed were used.
         runs: text with duration and timestep of the runs over the bump.
     """
