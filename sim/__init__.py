@@ -30,7 +30,7 @@ except Exception as error:  # the user has a file or folder with the name of one
     raise SystemExit(2) from error
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # what type checkers and editors see
+if TYPE_CHECKING:  # imports for type checkers and editors
     from sim.drive.driver import Driver
     from sim.drive.response import Response
     from sim.recording.files import record

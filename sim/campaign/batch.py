@@ -165,7 +165,10 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
 
 
 def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
-    """Returns the IRIs [m/km] of the driven part of a run's road, by name. `plan` keeps them for other runs over this road."""
+    """Returns the IRIs [m/km] of the driven part of a run's road, by name.
+
+    `plan` keeps the IRIs for other runs over the same road.
+    """
     key = (*(run.inputs[name] for name in ("road", "speed", "seed")), track_width(run.vehicle))
     if (kept := plan.roughness.get(key)) is None:
         named = roughness(driven_roughness(run.vehicle, run.road, plan.campaign.time))

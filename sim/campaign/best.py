@@ -185,7 +185,7 @@ def _check_save(campaign: Campaign, path: Path) -> None:
 
 
 def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
-    """Returns the best candidate of a vehicle, or the candidate nearest to the limits if all exceed them."""
+    """Returns the best candidate of a vehicle, or the candidate nearest to the limits if all candidates exceed a limit."""
     candidates, known = plan.candidates(vehicle), _known_metrics(plan.campaign.vehicles[vehicle], plan.campaign)
     asked = {name: known[name] for name in (request.metric, *request.limits)}
     table = store.read(list(dict.fromkeys(metric.name for some in asked.values() for metric in some)))

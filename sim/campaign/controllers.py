@@ -1,6 +1,7 @@
-"""The controllers of a campaign. They are designed when the campaign begins, and do not change while it continues.
+"""The controllers of a campaign, which are designed when the campaign begins and do not change while the campaign continues.
 
-The results folder stores the gains. It does not store laws in Python: the user's files must be the same as at the beginning.
+The results folder stores the gains, but not laws in Python. The files of these laws must not change while the campaign
+continues.
 """
 
 from collections.abc import Mapping

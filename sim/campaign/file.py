@@ -89,8 +89,8 @@ class Campaign:
         speeds: speeds of the vehicles [m/s].
         seeds: seeds of the random roads. Any other road is simulated once.
         duration: duration of every run [s].
-        settle: time at the start of each run over a random road that is not measured [s]. Runs over other roads are measured
-            from the start.
+        settle: duration of the initial part of a run that is not measured [s], for random roads. Runs over other roads are
+            measured from the start.
         timestep: timestep of the simulation [s].
         samples: samples of each vehicle; values [SI] by parameter. A single empty sample if nothing is sampled.
         variants: variants of each sampled law, by vehicle and controller; values by key of the law.

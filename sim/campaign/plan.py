@@ -26,7 +26,7 @@ LOST_TIME = 5.0  # s, approximate time that a worker spends on a batch; an inter
 RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16  # smallest batch; a quarter-car run costs a fifth more in a batch of 16 than in a batch of 64
 TOGETHER = 64  # smallest number of consecutive runs in a part of a campaign, if the campaign has enough runs
-MOST_ROUNDS = 64  # largest number of such intervals of runs in each part
+MOST_ROUNDS = 64  # largest number of intervals of consecutive runs in each part
 Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers, without `stop`
 
 
@@ -100,7 +100,7 @@ class Plan:
         campaign: the campaign.
         controllers: controllers by vehicle and name.
         variants: sampled laws by vehicle and controller, one for each variant.
-        roughness: IRIs [m/km] of roads that are computed already. They are kept for a while, because many runs share a road.
+        roughness: IRIs [m/km] of roads that are computed already; kept for a while, because many runs share a road.
     """
 
     campaign: Campaign
@@ -267,7 +267,7 @@ class Progress:
 
         Args:
             runs: number of finished runs.
-            took: time that one worker spent on them [s].
+            took: time that one worker spent on these runs [s].
         """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs

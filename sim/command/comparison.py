@@ -67,7 +67,10 @@ def controllers_of(
 
 
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
-    """Returns a function that designs a controller by name, and raises InputError if it cannot run at its sample period."""
+    """Returns a function that designs a controller by name.
+
+    The function raises InputError if the controller cannot run at its sample period.
+    """
 
     def designed(name: str) -> Controller:
         controller = design(name)

@@ -361,7 +361,7 @@ def _files(page: "Page") -> "list[tuple[Figure | Table, tuple[str, ...]]]":
 
 
 def _others(page: "Page", folder: Path) -> list[str]:
-    """Returns the names of figures and tables in the folder that are not of this page. They may be the user's, so they stay."""
+    """Returns the names of figures and tables in the folder that are not of this page. The command keeps these files."""
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
     return sorted(name for name in there - own if not name.startswith("."))

@@ -55,8 +55,9 @@ class Processes:
             progress: callback that receives the name of the current study.
 
         Returns:
-            Function that waits for all results and returns them by name. It runs requests that no process has started yet in
-            the calling process, beginning with the last. If the pool breaks, it also runs the requests without a result.
+            Function that waits for all results and returns them by name. This function runs requests that no process has
+            started yet in the calling process, beginning with the last. If the pool breaks, it also runs the requests without a
+            result.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:

@@ -45,7 +45,8 @@ class StudyRequest:
 class Study(Generic[R]):
     """A study, whose method `run` returns a result of type R.
 
-    A study with a command defines the class attributes. A study that only adds a section to the report can omit them.
+    A study with a command defines the class attributes. A study that only adds a section to the report does not need these
+    attributes.
 
     Attributes:
         name: name of the study in `STUDIES`.
@@ -136,7 +137,7 @@ class Study(Generic[R]):
         raise NotImplementedError
 
     def check_page(self, scope: "Subject") -> None:
-        """Checks before the design that the report can contain the section of this study; raises InputError otherwise."""
+        """Checks before the design that the report can contain the section of this study; raises InputError if not."""
 
     def requests(self, scope: "Subject") -> Mapping[str, Any]:
         """Returns the requests of the report to this study, by subject; empty if there are none.
@@ -146,7 +147,7 @@ class Study(Generic[R]):
         return {}
 
     def for_page(self, result: R) -> Any:
-        """Returns the part of a result that the report needs. It may come from another process, so it must be picklable."""
+        """Returns the part of a result that the report needs; picklable, because it may come from another process."""
         return result
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":

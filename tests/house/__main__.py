@@ -22,7 +22,7 @@ from pathlib import Path
 
 from docs import generate
 from tests.house import ceilings, formats, prose, test_architecture
-from tests.house.prose import LONG, Finding, words
+from tests.house.prose import LONG, Finding, Sentence, words
 from tests.support.commands import ROOT
 from tests.support.pages import GENERATED
 from tests.support.sources import Source, read
@@ -52,7 +52,15 @@ class Tree:
     def pages(self) -> dict[str, str]:
         """The texts of pages that are not generated."""
         pages = [name for name in self.names if name.endswith(".md") and not name.startswith(GENERATED)]
-        return {name: self.text(name) for name in pages if name != "CHANGELOG.md"}
+        return {name: self.text(name) for name in pages if name != prose.CHANGELOG}
+
+    @cached_property
+    def other_prose(self) -> list[Sentence]:
+        """The sentences of the changelog and of vehicle files."""
+        files = [name for name in self.names if any(Path(name).match(pattern) for pattern in prose.TEMPLATES)]
+        changelog = [name for name in self.names if name == prose.CHANGELOG]
+        found = prose.of_templates({name: self.text(name) for name in files if name.startswith("models/")})
+        return [*found, *prose.of_pages({name: self.text(name) for name in changelog})]
 
 
 def linters(tree: Tree) -> Iterator[Finding]:
@@ -87,9 +95,9 @@ def lines_of_capabilities(tree: Tree) -> Iterator[Finding]:
 
 
 def sentences(tree: Tree) -> Iterator[Finding]:
-    """Yields sentences with a pattern that is read twice, and long ones of docstrings and pages."""
+    """Yields sentences with a pattern that is read twice, and long sentences of docstrings, comments and pages."""
     found = [*prose.of_code(tree.code), *prose.of_pages(tree.pages)]
-    yield from prose.read_twice(found)
+    yield from prose.read_twice([*found, *tree.other_prose])
     for file, kind, text in found:
         if kind != "text" and words(text) > LONG:
             yield Finding(file, f"{words(text)} words", "write two sentences", text)

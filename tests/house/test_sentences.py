@@ -1,4 +1,4 @@
-"""Prose is read once: no patterns that are read twice (`tests/house/prose.py`), short sentences, and formats in one place."""
+"""Prose is read once: few patterns that are read twice (`tests/house/prose.py`), short sentences, and formats in one place."""
 
 from collections import defaultdict
 
@@ -16,6 +16,33 @@ def test_ceilings(of):
     """No folder has more sentences to rewrite, or more formats of results, than its ceiling: `--lower` lowers it."""
     above = prose.above(of.MOST, of.findings())
     assert not above, "\n".join([of.__doc__, *above])
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "name"),
+    [
+        ("comment", "of the other end of a curve", "comment without noun"),
+        ("comment", "They are kept for a while, as many runs share them.", "begins with a pronoun"),
+        ("template", "A controller says which signals it measures.", "thing that says"),
+        ("change", "The list of names in words is shorter.", "'in words'"),
+        ("docstring", "A key beside the others.", "beside"),
+        ("docstring", "The same for a controller with states.", "'of such'"),
+        ("docstring", "None: if the road has no points, or if they end later.", "list of conditions"),
+        ("page", "They are kept, because they are the same for all runs.", ""),
+        ("docstring", "The key `beside` and the option --beside of the command.", ""),
+    ],
+)
+def test_patterns(kind, text, name):
+    """Each pattern finds its example in the kinds of prose that it is for."""
+    assert [one.what for one in prose.read_twice([prose.Sentence("file", kind, text)])] == [name] * bool(name)
+
+
+def test_comments_of_templates():
+    """The sentences of a vehicle file are its comments, without keys that are commented out and without quoted texts."""
+    lines = ["#:schema ./x.json", "# Each limit is", "# optional.", 'name = "# not a comment"  # name of the car itself']
+    text = "\n".join([*lines, "# mass = 3.0  # mass of the whole car", ""])
+    found = [one.text for one in prose.of_templates({"models/x.toml": text})]
+    assert found == ["Each limit is optional.", "name of the car itself", "mass of the whole car"]
 
 
 def test_sentences_are_short():

@@ -14,6 +14,8 @@ from tests.support.commands import ROOT
 from tests.support.shared import made
 
 DIGITS = re.compile(r":[^{}: ]*\.(\d+|\{[^{}]*\})[egf%]\}")  # the end of a format with a number of digits
+STRING_OR_COMMENT = re.compile(r"(?s:(\"{3}|'{3})(?:\\.|.)*?\1)|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'|(?P<comment>#[^\n]*)")
+TOOLS = re.compile(r"#\s*(?:pyright|type|noqa|ruff|fmt|pragma|:schema)\b")  # comments for tools
 IN_DIGITS = re.compile(r"\.(\d+|\{[^{}]*\})[egf%]")  # in the text of each file that has one
 
 
@@ -28,6 +30,7 @@ class Source:
         runs_text: True if it makes code of text.
         docstrings: docstrings of its module, classes and functions.
         texts: other texts in it of at least four words: messages, help and output; X replaces what an f-string inserts.
+        comments: comments of at least four words, without those for tools; lines of one comment are joined.
         classes: its public classes.
         formats: specification of each number that it formats to some digits, except in fields of tables and errors.
         code_lines: number of its lines without docstrings, comments and blank lines.
@@ -38,6 +41,7 @@ class Source:
     runs_text: bool
     docstrings: tuple[str, ...]
     texts: tuple[str, ...]
+    comments: tuple[str, ...]
     classes: tuple[str, ...]
     formats: tuple[str, ...]
     code_lines: int
@@ -77,6 +81,7 @@ def _source(path: Path) -> Source:
         not {"exec", "eval", "compile"}.isdisjoint(calls),
         tuple(text for node in documented if (text := ast.get_docstring(node))),
         tuple(_texts(nodes)),
+        tuple(comments(written)),
         tuple(node.name for node in nodes[ast.ClassDef] if not node.name.startswith("_")),
         tuple(_formats(tree)) if IN_DIGITS.search(written) else (),
         _code_lines(written, documented),
@@ -104,6 +109,27 @@ def _nodes(tree: ast.AST) -> Mapping[type, list[Any]]:
             elif isinstance(value, ast.AST) and not isinstance(value, ast.expr_context):
                 nodes.append(value)
     return by_class
+
+
+def comments(written: str) -> Iterator[str]:
+    """Yields the comments of a file in Python or TOML; lines below each other that contain nothing else are one comment."""
+    parts, last = list[str](), -1
+    for found in STRING_OR_COMMENT.finditer(written):
+        if not (text := found["comment"]) or TOOLS.match(text):
+            continue
+        begin = written.rfind("\n", 0, found.start()) + 1
+        alone = not written[begin : found.start()].strip()
+        if parts and not (alone and last == begin):
+            yield from _long(parts)
+            parts = []
+        parts.append(text.lstrip("#!: "))
+        last = found.end() + 1 if alone else -1
+    yield from _long(parts)
+
+
+def _long(parts: list[str]) -> Iterator[str]:
+    if len((text := " ".join(parts)).split()) > 3:
+        yield text
 
 
 def _texts(nodes: Mapping[type, list[Any]]) -> Iterator[str]:

@@ -105,7 +105,7 @@ def describing_function(
 
 
 def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
-    """Returns the fundamental of each output per road velocity, and the share of energy outside the fundamental, shapes (p,).
+    """Returns the fundamental of each output per road velocity, and the share of its energy at other frequencies, shapes (p,).
 
     Args:
         vehicle: the vehicle.

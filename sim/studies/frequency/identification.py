@@ -1,8 +1,8 @@
 """Measurement of frequency responses and L2 gains in MuJoCo, and comparison with linear analysis.
 
 Start with `measure_responses`. The L2 gain from the disturbance w to the performance output z includes the weights of z. If a
-weight is a filter, it is applied to the signal of the run, which is linear between samples and starts from equilibrium. If the
-road has a filter, w is the input of this filter. The input is known for a sinusoidal road, but for other roads it would require
+weight is a filter, the signal of the run passes this filter; the signal is linear between samples and starts from equilibrium.
+If the road has a filter, w is the input of this filter. The input is known for a sinusoidal road, but other roads would require
 the inverse of the filter, which may not exist.
 """
 
@@ -81,7 +81,7 @@ def _size(sides: Sequence[Array]) -> float:
 def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic: bool) -> Array:
     """Returns the output signals and sums before the force jumps at each sample, shape (T, p).
 
-    Before the first sample, the force is that of the last sample for a periodic run, and 0 otherwise. If the actuators have a
+    The force before the first sample is 0. For a periodic run, it equals the force at the last sample. If the actuators have a
     lag, forces do not jump, so the signals are returned unchanged.
     """
     if vehicle.limits.actuator_bandwidth is not None:

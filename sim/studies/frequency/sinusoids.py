@@ -93,8 +93,8 @@ class PeriodicRun:
         """Returns the complex amplitude of each line, shape (F,), by name of the signal. The controller must be linear.
 
         Args:
-            with_images: True to fit also the images of the lines, see `images`. This is not needed if the samples contain whole
-                periods of the road and of the controller's sampling. Images are then orthogonal to the lines.
+            with_images: True to fit also the images of the lines, see `images`. The images need no fit if the samples contain
+                whole periods of the road and of the controller's sampling. Images are then orthogonal to the lines.
         """
         (controller, loop), omega = self._loop, self.on.omega
         response = self.response.samples(slice(-self.on.samples, None))
@@ -146,7 +146,8 @@ def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Seq
 def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, timestep: float) -> int:
     """Returns the number of samples of a run: the evaluated samples, and the samples before them in which free motion decays.
 
-    - If lines are fitted, the remaining free motion is fitted as well. The run then has the same number of samples before them.
+    - If lines are fitted, the remaining free motion is fitted as well. The run then has the same number of samples before the
+      evaluated samples.
     - A controller with a longer sample period causes additional lines, which resemble free motion. Free motion must therefore
       decay before the evaluated samples, except slow motion, which is subtracted. The same applies if signals are used.
     - The free motion of nonlinear laws is unknown. Their runs have twice as many samples before the evaluated ones. The second
@@ -165,7 +166,7 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
 
 def _read(loop: Loop, slow: Array, samples: int) -> int:
-    """Returns the number of evaluated samples if signals are used. Slow modes need more samples, because they are fitted."""
+    """Returns the number of evaluated samples if signals are used. More samples are needed to fit slow modes."""
     return max(samples, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(slow) else samples
 
 
@@ -218,7 +219,7 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
     """Returns the frequencies of the largest images [rad/s]: sinusoids that sampling adds at sums with the sample rate.
 
-    They exist only if the sample period of the controller is longer than the timestep.
+    Images exist only if the sample period of the controller is longer than the timestep.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     rate = 2 * np.pi / (steps * timestep)
@@ -242,7 +243,7 @@ def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
 def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
     """Returns the shapes of the free motion over the evaluated samples, shape (samples, k).
 
-    Modes that decay within as many samples before the evaluated ones are omitted.
+    Modes that have already decayed when the evaluated samples begin are omitted.
     """
     if steps_per_sample(vehicle.implementation, timestep) > 1:
         if controller.measured:

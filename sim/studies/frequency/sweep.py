@@ -25,7 +25,8 @@ from synth.controller.report import norm_if_implemented
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Allowed differences in addition to the error of RK4, which is known:
 TOLERANCE = 1e-4  # relative difference of a response, due to rotations of the body; roads of 0.1 mm cause only 3e-7
-SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # relative height, and smallest height [m], of a road that shows whether rotations cause it
+# Relative height, and smallest height [m], of a lower road. A difference due to rotations is smaller on this road.
+SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6
 ABOVE = 1e-5  # relative excess of a gain above the norm, due to remaining free motion
 NORM_TOLERANCE = 1e-3  # relative difference of a gain below the norm
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
@@ -41,7 +42,7 @@ class Sweep:
     sampled: SampledNorm | None  # exact norm of the implemented loop; None without [implementation], or with preview
     loads: tuple[MinimumLoad, ...]  # minimum load of each tyre in the EUSAMA test
     without: str  # text with the noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
-    small: Lines | None = None  # response over a road of 1/10 or 1/100 of the height, if nonlinearity may explain a difference
+    small: Lines | None = None  # response over a lower road (1/10 or 1/100 of the height), if nonlinearity may cause a difference
 
     @property
     def controller(self) -> Controller:
@@ -109,7 +110,7 @@ def sweep(
 def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if a measurement contains the road velocity directly.
 
-    The sampled norm averages such a measurement over a sample period, but MuJoCo averages it over a timestep, so the two
+    The sampled norm averages such a measurement over a sample period, but MuJoCo averages over a timestep, so the results
     differ.
     """
     model = vehicle.linear_model

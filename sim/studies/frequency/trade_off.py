@@ -45,7 +45,7 @@ def check_front(vehicle: Vehicle, text: str) -> None:
 
 
 def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
-    """Returns the section about the trade-off of the default controller, or a section with the reason why it has none."""
+    """Returns the section about the trade-off of the default controller, or a section that explains why there is no trade-off."""
     vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
     assert given is not None, "no axes"
     axes = axes_of(vehicle, given)

@@ -41,7 +41,8 @@ from sim.studies.frequency.sinusoids import (
 from synth.controller.controller import Controller
 
 DURATION = 20.0  # s, duration of all runs except that over the worst sinusoid, whose duration depends on its settling time
-BESIDE, DOUBLINGS = 3e-4, 6  # allowed relative distance of the gain from its peak, and largest number of refinements for this
+# Allowed relative distance of the gain from its peak, and largest number of refinements to reach this distance:
+BESIDE, DOUBLINGS = 3e-4, 6
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Extremes:
     Attributes:
         worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
             timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
-        integrated: the same norm for the loop as RK4 integrates it.
+        integrated: discrete-time norm of the loop that RK4 integrates.
         tried: frequency of the simulated sinusoid near the worst one [rad/s].
         predicted: gain at `tried` with all harmonics, at the timestep and at half the timestep; empty if `lti`.
         gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
@@ -175,7 +176,7 @@ def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
 
 
 def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: float, speed: float) -> float:
-    """Returns the gain from w to z over a sinusoidal road, including the frequencies that held forces add.
+    """Returns the gain from w to z over a sinusoidal road, including the harmonics due to held forces.
 
     Args:
         vehicle: the vehicle.

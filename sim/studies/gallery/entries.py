@@ -98,7 +98,7 @@ class PrintedNumber(Section):
 class MissingNumber(Section):
     """A published number that cannot be compared, because no vehicle file can express its model."""
 
-    what: Annotated[str, Text("the number, in words")]
+    what: Annotated[str, Text("description of the number")]
     why: Annotated[str, Text("reason for the missing number, in a line")]
     source: Annotated[str, Choice("entry of `SOURCES` without any number for this reason, if it has no others", SOURCES)] = ""
 

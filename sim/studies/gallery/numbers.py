@@ -197,9 +197,9 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
 
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
-    """Returns a number of a run, computed only from the samples of the source, in SI units.
+    """Computes a number of a run only from the sample times that the source used; returns the number in SI units.
 
-    A settling or recovery time is that of the first sample after which the signal stays within the band.
+    A settling or recovery time ends at the first sample after which the signal stays within the band.
     """
     least = one.timestep / 10
     if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:

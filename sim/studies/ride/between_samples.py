@@ -108,7 +108,8 @@ class Pieces:
     def last_above(self, value: float) -> float | None:
         """Returns the last time [s] at which the magnitude exceeds a value.
 
-        The time is infinite if the magnitude exceeds the value at the end of the signal. None if it never does.
+        The time is infinite if the magnitude exceeds the value at the end of the signal. The result is None if the magnitude
+        never exceeds the value.
         """
         size = np.abs(self.values)
         outside = size.max(axis=1) > value

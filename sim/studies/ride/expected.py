@@ -8,22 +8,22 @@ two independent white sources. With the frequency response H of the implemented 
 
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
 A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is
-a function of the road frequency and includes the images: it contains |H e|^2 of each step, and the mean over the steps is the
+a function of the road frequency and includes the images. It contains |H e|^2 of each step, and the mean over the steps is the
 sum over the images (Parseval). Means over time are means over the steps. Spreads and largest values use the mean spectrum.
 
-The band is that of the frequency lines of the road, plus half a line spacing at both ends. The integral over this band then
-equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary linear
-run, metrics that are means are exact. These are mean squares (also of the tyre load, which is never negative), shares of time,
-and power and energy of the held force. The integral in the VDV is also exact, because E a^4 = 3 sigma^4. Nonlinear springs and
-dampers are replaced by equivalent lines (`statistical_linearisation.py`), which is approximate.
+The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
+then equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary
+linear run, metrics that are means are exact. These are mean squares (also of the tyre load, which is never negative), shares of
+time, and power and energy of the held force. The integral in the VDV is also exact, because E a^4 = 3 sigma^4. Nonlinear
+springs and dampers are replaced by equivalent lines (`statistical_linearisation.py`), which is approximate.
 
-Largest values are approximate, and too large for windows that are short compared with the decay time of the vehicle. They were
-compared with linear responses over 200 roads, for three built-in vehicles with `passive`, `I` and `II`, at 10, 20 and 35 m/s
-over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the travel of the passive
-quarter-car. The expected values are too large, except crest factors of well damped loops: these are up to 4 % too small, and up
-to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are too large by up to 8 % (VDV),
-9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up to 45 % too large, because
-it assumes a window much longer than the decay time.
+Largest values are approximate, and too large for windows that are short compared with the decay time of the vehicle. These
+errors were found by comparison with linear responses over 200 roads, for three built-in vehicles with `passive`, `I` and `II`,
+at 10, 20 and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the
+travel of the passive quarter-car. The expected values are too large, except crest factors of well damped loops: these are up to
+4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are too
+large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up to
+45 % too large, because its formula assumes a window much longer than the decay time.
 
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
 response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel

@@ -79,7 +79,7 @@ class Gaussian:
         return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
     def mean_square_variance(self, window: float, clip: float) -> float:
-        """Returns the variance of the mean of min(x, clip)^2 over a window [s]. It is at most the variance at one instant."""
+        """Returns the variance of the mean of min(x, clip)^2 over a window [s], which is at most the variance at one instant."""
         if not self.sigma:
             return 0.0
         square = float(self.share @ self.spectrum**2) / (4 * self.sigma**4)  # integral of rho^2 from 0 to infinity
@@ -215,7 +215,7 @@ def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> f
     r = min(max(covariance / (x * y), -1.0), 1.0) if x * y else 0.0
     if not mean:
         return x * y * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
-    # For a given Y of z standard deviations, X is Gaussian with a conditional mean and deviation, so its positive part is known.
+    # If Y equals z standard deviations, X is Gaussian with a conditional mean and deviation, so the mean positive part is known.
     z, left = LEVELS, max(x * math.sqrt(1 - r**2), 1e-9 * (x + abs(mean)))
     total = np.zeros_like(z)
     for side in (1.0, -1.0):

@@ -100,7 +100,7 @@ PER_DISTANCE = OverRuns("mean by distance", lambda values, distances: values @ d
 
 @dataclass(frozen=True)
 class Column:
-    """Column in the table of controllers. It shows the largest value of a metric over the points of the vehicle.
+    """Column in the table of controllers, which shows the largest value of a metric over the points of the vehicle.
 
     Attributes:
         label: heading.
@@ -257,7 +257,10 @@ def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
 
 
 def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics that are compared, by name in `METRICS`. The worst of a name represents the vehicle."""
+    """Returns the metrics that are compared, by name in `METRICS`.
+
+    If a name has several metrics, the worst of these metrics represents the vehicle.
+    """
     return {
         name: tuple(map(kind, kind.compared(vehicle))) for name, kind in METRICS.load_all().items() if loaded or not kind.loaded
     }
@@ -404,7 +407,7 @@ class Meter:
         return joined
 
     def _weigh(self, name: str, acceleration: Array, seen: int) -> None:
-        """Filters the next samples of an acceleration with W_k, and adds those within the window to the totals.
+        """Filters the next samples of an acceleration with W_k, and adds the samples within the window to the totals.
 
         Args:
             name: name of the acceleration.

@@ -144,9 +144,9 @@ def measured_samples(
 
     - On a random road, the measurement begins when the transient has decayed, but at half of the run at the latest. The
       transient of a law in Python is unknown, so its measurement begins at half of the run.
-    - Over a single obstacle, the measurement covers the passage, and is the same for all controllers. It begins when the first
-      wheel reaches the obstacle. It ends when the passive vehicle would have settled after its last wheel has left the
-      obstacle.
+    - Over a single obstacle, the measurement covers the passage, and is the same for all controllers. The measurement begins
+      when the first wheel reaches the obstacle. The measurement ends when the passive vehicle would have settled after its last
+      wheel has left the obstacle.
     - On other roads, and with loads, the whole run is measured.
 
     Args:

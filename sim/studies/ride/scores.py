@@ -151,7 +151,9 @@ def scores_of_runs(
     without: Sequence[str] = (),
     title: str = "",
 ) -> list[Score]:
-    """Returns the scores of runs. The passive vehicle comes first; runs that omit a part follow that of the whole vehicle.
+    """Returns the scores of runs.
+
+    The passive vehicle comes first. A run that omits a part of the vehicle follows the run with the whole vehicle.
 
     Args:
         runs: runs of the controllers over the same road.

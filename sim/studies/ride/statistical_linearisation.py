@@ -2,9 +2,9 @@
 
 The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the line.
 
-The remainder is the difference between curve and line. It is included to second order. The remainder acts as noise, which also
-has frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle; without the remainder,
-travel would be about 5 % too small.
+The remainder is the difference between curve and line, which is included to second order. The remainder acts as noise, which
+also contains lower frequencies than the road. This noise mainly excites a slow mode of the controlled vehicle; without the
+remainder, travel would be about 5 % too small.
 
 For a Gaussian signal x = m + s z, a curve is a sum of Hermite polynomials of z,
 
@@ -31,8 +31,8 @@ frequency-dependent slope between signals. The noise is a source in addition to 
 Degrees 2 to 4 are included. Higher degrees have frequencies that no suspension amplifies. For sharp bends, for example due to
 friction, the second order of higher degrees is too large. With all degrees, the error of ride would grow by 0.3 %, and no error
 would decrease. If e has a larger share of the variance of a force than `SHARP`, accelerations are computed from the line alone,
-with an error up to 3 %. With the remainder, they would be up to 13 % too small. Slow signals include the remainder, without
-which travel would be up to 25 % too small.
+with an error up to 3 %. With the remainder, accelerations would be up to 13 % too small. Slow signals include the remainder,
+without which travel would be up to 25 % too small.
 """
 
 import math
@@ -72,7 +72,7 @@ LOWEST = 1e-3  # lowest frequency of the noise, relative to the lowest frequency
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Remainders of e curves, as linear memory and noise.
+    """Remainders of e curves, modelled as a linear transfer matrix (memory) and noise.
 
     Attributes:
         pulls: names of the e deflections along which the forces act.

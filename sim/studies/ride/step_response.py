@@ -1,8 +1,8 @@
 """Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of the absolute error.
 
-The final value of a height is the height of the step, and that of any other signal is zero. With a law for study that measures
-heights, a force can remain, so all signals except velocities and accelerations can have other final values. The error is the
-distance from the final value. Time starts when the first wheel reaches the step.
+The final value of a height is the height of the step. The final value of any other signal is zero. With a law for study that
+measures heights, a force can remain, so all signals except velocities and accelerations can have other final values. The error
+is the distance from the final value. Time starts when the first wheel reaches the step.
 """
 
 import math
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 BAND = 2.0  # %, default half width of the band for the settling time
 BANDS = (1e-6, 99.0)  # %, smallest and largest allowed half width
-SILENT = 1e-9  # peak below which symmetry keeps a signal at zero, relative to the largest signal with the same unit
+SILENT = 1e-9  # peak below which a signal counts as zero (by symmetry), relative to the largest signal with the same unit
 SETTLED, NOT_SETTLED, NEVER_OUTSIDE = "settled", "not settled", "never outside"
 
 

@@ -1,10 +1,10 @@
 """Slowest mode of a loop whose forces are delayed by many samples, without computing the eigenvalues of all pending forces.
 
-The state of such a loop contains d pending forces for a delay of d samples. The eigenvalues of the map from one sample to the
-next have almost equal magnitudes, so an iteration cannot separate the largest from the others. This module uses the d-th power
-of the map, from one state to that after a whole delay. Its eigenvalues are well separated, because decaying modes have nearly
-vanished after one delay. A few dozen applications of this power therefore suffice (Arnoldi's method; Lehoucq, Sorensen, Yang
-1998, ARPACK Users' Guide).
+The state of a loop with delay contains d pending forces for a delay of d samples. The eigenvalues of the map from one sample to
+the next have almost equal magnitudes, so an iteration cannot separate the largest from the others. This module uses the d-th
+power of the map, from one state to that after a whole delay. Its eigenvalues are well separated, because decaying modes have
+nearly vanished after one delay. A few dozen applications of this power therefore suffice (Arnoldi's method; Lehoucq, Sorensen,
+Yang 1998, ARPACK Users' Guide).
 """
 
 import numpy as np

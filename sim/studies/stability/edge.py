@@ -74,7 +74,7 @@ class StabilityEdge:
 
     @property
     def confirmed(self) -> bool:
-        """False if a run contradicts the derivative of MuJoCo's step: one of them grows, and the other decays."""
+        """False if a run contradicts the derivative of MuJoCo's step: one grows while the other decays."""
         return not any(not math.isnan(rate) and (rate > 0) != (amount == self.unstable) for amount, rate in self.runs.items())
 
     @property
@@ -83,7 +83,7 @@ class StabilityEdge:
         return math.nan if not self.decided else math.sqrt(self.stable * self.unstable)
 
     def loop(self, amount: float) -> SimulatedLoop:
-        """Returns the MuJoCo loop with an amount."""
+        """Returns the MuJoCo loop for an amount: a gain factor, delay or sample period."""
         if amount not in self._loops:
             self._loops[amount] = simulated_loop(self.step, self.trial(amount))
         return self._loops[amount]

@@ -46,7 +46,7 @@ class GainMargin:
         own: predicted margin of the continuous loop.
         sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
         search: search for the margin at the given timestep.
-        finer: search at half the timestep, or at a smaller step. It runs only if it is needed.
+        finer: search at half the timestep, or at a smaller step, which runs only if it is needed.
         coarser: search at twice the step of `finer`; None if this is `search`.
     """
 
@@ -219,7 +219,7 @@ class LoopMargins:
 def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> bool:
     """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same limit as MuJoCo.
 
-    In this case, the predicted unstable interval is shorter than a timestep, so neither search can see it.
+    In this case, the predicted unstable interval is shorter than a timestep, so both searches miss this interval.
 
     Args:
         edge: finished search.
@@ -244,7 +244,7 @@ def _close(predicted: float, measured: float, within: float) -> bool:
 def find_margins(
     vehicle: Vehicle, controller: Controller, timestep: PositiveTime, progress: Callable[[str], None] = no_progress
 ) -> dict[str, LoopMargins]:
-    """Computes gain, phase and delay margins and the largest sample period of a loop, and finds them in MuJoCo.
+    """Predicts gain, phase and delay margins and the largest sample period of a loop, and measures them in MuJoCo.
 
     Args:
         vehicle: vehicle; its `[implementation]` is ignored.
@@ -401,7 +401,7 @@ def _gain_margins(
         return LoopCase(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
-        # An amount is above 1: the gain is multiplied by it (power 1) or divided by it (power -1).
+        # An amount is a factor above 1, which multiplies the gain (power 1) or divides the gain (power -1).
         def amount(step: float, k: int = power) -> float:
             return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
 

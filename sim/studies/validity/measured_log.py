@@ -1,6 +1,6 @@
 """Comparison of runs with a measured log: alignment in time by correlation, and the fit of each signal.
 
-The fit is 1 - rms(measured - MuJoCo) / rms(measured). It is 1 for equal signals, and 0 if the run has no motion. The signals
+The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, and 0 if the run has no motion. The signals
 are compared at the sample times of the run or of the log, whichever has the larger sample period.
 """
 
@@ -24,7 +24,7 @@ LEAST_OVERLAP = 0.5  # smallest overlap of log and run for a correlation, relati
 MOST_SAMPLES = 2**21  # largest number of samples of log and run for the correlation
 WEAK = 0.5  # correlation below which a remark asks the user to check the start
 OFFSET = 0.1  # improvement of the fit by removing an offset above which a remark is printed
-# Correlation that suggests a wrong sign, and its smallest ratio to the correlation with the given sign:
+# Correlation that suggests a wrong sign, and smallest ratio of the correlations with the opposite sign and with the given sign:
 OPPOSITE, CLEARLY = -0.5, 1.1
 
 

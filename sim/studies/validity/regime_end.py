@@ -3,7 +3,7 @@
 The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
 bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below
 this height and one slightly above. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
-two runs do not enclose it, the largest signal of the highest run below the limit determines the next height to try.
+two runs do not enclose the correct height, the next height follows from the largest signal of the highest run below the limit.
 
 With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at
 any height.
@@ -78,7 +78,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     Args:
         vehicle: the vehicle.
         controllers: controllers with stable loops.
-        bump: bump whose length and speed are used; its response predicts those of other heights.
+        bump: bump with the length and speed to study; its response predicts the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
     """
     ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
@@ -107,7 +107,7 @@ def enclose_ends(
     Args:
         vehicle: the vehicle.
         controllers: N controllers.
-        bumps: N bumps, whose lengths and speeds are used; their responses predict those of other heights.
+        bumps: N bumps with the lengths and speeds to study; their responses predict the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.
         within: factor from the limit to the heights of the two runs, see `WITHIN`.

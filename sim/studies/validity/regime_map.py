@@ -2,12 +2,12 @@
 
 Until the first limit is reached, the vehicle is linear. The limit and its time therefore follow from the linear response, which
 is proportional to the bump height. One linear response per length and speed predicts the cells of all heights, and the map
-shows these predictions. MuJoCo confirms them in a few random cells, and along the edge of the linear regime. At each length and
-speed, two runs enclose the height of the edge.
+shows these predictions. MuJoCo confirms the predictions in a few random cells, and along the edge of the linear regime. At each
+length and speed, two runs enclose the height of the edge.
 
 With semi-active dampers, a linear controller lacks force at any height. The map then shows the share of missing force. Its
 analysis includes these dampers; this response is also proportional to the height. The characteristic of a nonlinear spring or
-damper departs gradually from its linearisation; it counts as a limit if the difference exceeds the share `LEAVES`. Responses
+damper departs gradually from its linearisation; a difference above the share `LEAVES` counts as a limit. Responses
 with such characteristics or with loads are not proportional to the height, so each cell needs its own response.
 """
 
@@ -172,7 +172,7 @@ def validity(
 def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:
     """Returns the indices of some evenly spread cells at the edge of the linear regime, at most one per length and speed.
 
-    An edge exists at a length and speed if cells are on both sides of it, or if a cell is within the factor `CLOSE` of it.
+    An edge exists at a length and speed if cells are on both sides of the edge, or if a cell is close to it (factor `CLOSE`).
 
     Args:
         bumps: bumps of all N cells.

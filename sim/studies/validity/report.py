@@ -186,7 +186,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         vehicle: the vehicle.
         ends: end of the linear regime for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
-        where: name of the road on which they disagree.
+        where: name of the road on which these runs disagree.
         bump: bump whose length and speed were used.
         runs: text with duration and timestep of the runs over the bump.
     """
@@ -277,7 +277,7 @@ def _markers(cells: Cells, places: Array) -> list[Curve]:
 
 
 def _marks(points: Array, label: str, marker: Marker) -> Curve:
-    """Returns markers at points, shape (N, 2). They are black, which is legible on all colours of a map."""
+    """Returns markers at points, shape (N, 2). Black is legible on all colours of a map."""
     return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 
