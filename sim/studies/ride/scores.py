@@ -4,7 +4,7 @@ For a vehicle with several wheels, suspensions or actuators, each value is that 
 """
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.drive.response import Response
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, over_runs
+from synth.controller.controller import AnyController
+from synth.controller.law_margins import law_fault
 
 if TYPE_CHECKING:
     from sim.runs.run import Run
@@ -31,7 +33,7 @@ class Score:
     Attributes:
         controller: name of the controller.
         values: values by key of `FIELDS`, in SI units; None if the vehicle lacks it or the run broke off.
-        sound: False for a law that is unstable by itself or winds up; it is never called the best.
+        fault: reason why the controller is never called the best, see `law_fault`; empty for a sound one.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the implemented loop.
         strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
@@ -40,7 +42,7 @@ class Score:
 
     controller: str
     values: Mapping[str, float | None]
-    sound: bool = True
+    fault: str = ""
     vehicle: str = ""
     without: str = ""
     strokes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -78,9 +80,10 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
     return used
 
 
-def without_unsound(scores: Iterable[Score], unsound: Collection[str]) -> list[Score]:
-    """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
-    return [replace(one, sound=False) if one.controller in unsound else one for one in scores]
+def with_faults(scores: Iterable[Score], vehicle: Vehicle, controllers: Iterable[AnyController]) -> list[Score]:
+    """Returns the rows of a vehicle with the fault of each controller."""
+    faults = {one.name: law_fault(vehicle, one) for one in controllers}
+    return [replace(one, fault=faults.get(one.controller, "")) for one in scores]
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
@@ -119,10 +122,10 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
 def best(scores: Iterable[Score]) -> dict[str, list[str]]:
     """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
 
-    Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
+    Passive is not compared in forces, and a controller with a fault in nothing. If all numbers are equal, none is best.
     """
     names: dict[str, list[str]] = {}
-    sound = [one for one in scores if one.sound]
+    sound = [one for one in scores if not one.fault]
     for quantity in FIELDS:
         compared = [one for one in sound if quantity not in FORCES or one.controller != PASSIVE]
         values = {one.label: value for one in compared if (value := quantity.value(one)) is not None}
@@ -169,4 +172,4 @@ def scores_of_runs(
         one = score_of(vehicle, name, values)
         strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
         scores.append(replace(one, vehicle=title, without=part, strokes=strokes))
-    return without_unsound(scores, [run.controller.name for run in runs if run.controller.growth])
+    return with_faults(scores, runs[0].vehicle, [run.controller for run in runs])
