@@ -136,8 +136,9 @@ class Parser(argparse.ArgumentParser):
             self._add_vehicle()
 
     def add_one(self, which: str) -> None:
-        """Adds the options `--controller`, required and not repeatable, and `--vehicle`."""
-        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} (required)")
+        """Adds the options `--controller`, not repeatable, and `--vehicle`."""
+        usual = "default: the first linear controller of the vehicle file"
+        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} ({usual})")
         self._add_vehicle()
 
     def _add_vehicle(self) -> None:
@@ -254,17 +255,20 @@ def chosen_of(
     return selected
 
 
-def one_chosen(names: Sequence[str], given: str | None) -> str:
+def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
     """Returns the controller that a single `--controller` selects.
 
     Args:
         names: all that are allowed.
         given: value of `--controller`.
+        usual: controller without `--controller`; empty if the option is required.
 
     Raises:
         InputError: no name is given, or an unknown one.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
+    if given is None and usual:
+        return usual
     if given is None:
         raise InputError(f"no controller is given; {allowed}")
     if given == ALL:
