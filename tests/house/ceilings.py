@@ -17,11 +17,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("models", "synth", "sim", "tests", "docs")
 SUFFIXES = frozenset((".py", ".c", ".h", ".css", ".js", ".mjs", ".jinja", ".md"))
-SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md|tutorials/notebook\.md)")  # generated
+SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|examples|tutorials/notebook)\.md)")  # generated
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3247   2253      0
+what all commands share: files, options, checks, tables of numbers   3251   2253      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -135,7 +135,7 @@ page and figures                                               3603   1380     7
 campaigns                                                      2767   1799    205
     sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/campaign.md
     docs/how-to/tune-a-law.md
-studies: one noun for commands and the page                     424      0      0
+studies: one noun for commands and the page                     425      0      0
     sim/command/study.py sim/studies/{command_name,study,subject}.py
 gallery of papers                                               734    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
@@ -172,15 +172,16 @@ runs, verdict, their text                                      2751   1049     6
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1046    989    429
+commands that drive                                            1058    989    429
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5237   1603
+house, pages, benchmarks                                          0   5332   2045
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*
+    tests/house/test_examples.py docs/examples/*.py
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
     docs/how-to/{analyse,deliver,design,simulate,vehicle}.md
 """
