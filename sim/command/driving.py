@@ -189,13 +189,14 @@ def drive(
         lines = title_lines(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         if rides:
             lines += end_lines(road, options.duration)
-        lines += _above(options, driven, start, end)
+        details = _above(options, driven, start, end)
+        lines += [] if options.verbose else details
         if response.blocks and not options.brief:
             lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
         about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += "; -v prints more"
-        lines += ["", *score_lines(scores, about)]
+        lines += ["", *score_lines(scores, about), *(details if options.verbose else [])]
         if measured is not None:
             lines += ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
