@@ -308,7 +308,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
     controller, certificate = row.controller, row.controller.certificate
     said = [
         *([named_gain(vehicle, controller)] if controller.measured else ["no control force"]),
-        *([f"poles [1/s]: {'; '.join(map(_pole_words, _poles(controller)))}"] if len(_poles(controller)) else []),
+        *([f"poles [1/s]: {'; '.join(map(pole_words, _poles(controller)))}"] if len(_poles(controller)) else []),
         *([certificate.stability.words] if lacks_damping(controller) else []),
         *(f"specification: {one.text}" for one in controller.specifications),
         *([row.witness.text] if row.witness is not None else []),
@@ -324,7 +324,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
     return Document(f"controller {row.name}: measures {row.measures}", notes(*said, detail="full"), "full")
 
 
-def _pole_words(pole: complex) -> str:
+def pole_words(pole: complex) -> str:
     """Returns a pole, and the natural frequency and damping ratio of a mode that oscillates."""
     if not pole.imag:
         return SLOWEST_POLE.digits(pole.real)
