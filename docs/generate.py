@@ -587,7 +587,7 @@ EXAMPLES = (
     *("own_car", "hump", "skyhook", "preview", "full_order", "campaign"),
     *("measured_road", "code_in_the_loop", "trade_off", "margins", "inerter", "hysteresis"),
 )
-STYLE = {
+STYLE: Any = {
     "font.size": 12,
     "savefig.dpi": 130,
     "axes.spines.top": False,

@@ -68,7 +68,7 @@ def test_all_of_the_quarter_car_on_a_screen(capsys):
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 40
     assert out.index("above it") < out.index("controller passive")
-    assert "controller I, gain: 10825.2 N/m suspension_deflection, -2069.5 N s/m sprung_velocity\n" in out
+    assert "controller I, gain: 10825.2 N/m suspension_deflection, -2069.5 N s/m sprung_velocity poles" in prose(out)
     assert "  WARNING: small gain margin 1.21 (1.66 dB), disk margin 0.19 (10.9°)\n" in out
 
 
