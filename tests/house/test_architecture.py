@@ -135,7 +135,7 @@ CORE = {  # package -> its modules that are core
     "synth.plant": "augmented double_double generalized loop numerics state_space units",
     "synth.vehicle": "design_problem designer",
 }
-MOST_CORE = 27_800  # lines of the core
+MOST_CORE = 27_820  # lines of the core
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
