@@ -18,7 +18,7 @@ from docs import generate  # noqa: E402 - the checkout that it documents comes f
 project = "Roadproof"
 copyright = "the authors of Roadproof; Apache-2.0"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "examples"]
 html_theme = "furo"
 html_title = "Roadproof"
 html_math_renderer = "mathml"  # browsers display MathML without scripts or network

@@ -14,6 +14,7 @@ import io
 import json
 import os
 import re
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -107,6 +108,7 @@ def pages() -> dict[str, str]:
     """Returns the Markdown of every generated page but the log's, by path below `docs/` without suffix."""
     return {
         "gallery": gallery(),
+        "examples": examples_page(),
         "tutorials/notebook": notebook(HERE / "tutorials" / "notebook.ipynb"),
         "reference/commands": commands(),
         "reference/vehicle-file": vehicle_file(),
@@ -117,6 +119,14 @@ def pages() -> dict[str, str]:
         "reference/messages": messages(),
         **{f"reference/{package.__name__}": names(package) for package in PACKAGES},
     }
+
+
+def kept_files() -> dict[str, str]:
+    """Returns the generated files that are kept in the repository, for readers on GitHub, by path below `docs/`."""
+    made = pages()
+    kept = {f"{name}.md": made[name] for name in ("examples", *(name for name in made if name.startswith("reference/")))}
+    del kept["reference/messages.md"]  # ten times as long as the other pages, and changed by every new message
+    return kept | drawings() | example_notebooks()
 
 
 def redirects() -> dict[str, str]:
@@ -542,7 +552,8 @@ def log_page() -> str:
 def names(package: Any) -> str:
     """Returns the page of a package's public names, for autodoc."""
     title = f"Python API: {package.__name__}"
-    lines = [f"# {title}", "", first(package), "", "```{eval-rst}"]
+    rows = [(f"`{name}`", first(getattr(package, name))) for name in package.__all__ if callable(getattr(package, name))]
+    lines = [f"# {title}", "", first(package), "", table(("name", "summary"), rows), "```{eval-rst}"]
     for name in package.__all__:
         value = getattr(package, name)
         directive = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "automodule"
@@ -603,6 +614,83 @@ def gallery() -> str:
     return text
 
 
+# Examples: scripts in docs/examples/, from which a page, notebooks and pictures are made
+
+EXAMPLES = (
+    *("own_car", "hump", "skyhook", "preview", "full_order", "campaign"),
+    *("measured_road", "code_in_the_loop", "trade_off", "margins", "inerter", "hysteresis"),
+)
+STYLE: Any = {
+    "font.size": 12,
+    "savefig.dpi": 130,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+}
+COLOURS = 48  # of a picture, so that its file is small
+CODE_IN_PAGE = re.compile(r'"""(?P<title>[^\n]*)\.\n\n(?P<text>.*?)\n"""\n\n(?P<code>.*)', re.S)
+
+
+def example(name: str) -> tuple[str, str, str]:
+    """Returns title, explanation and code of an example."""
+    found = CODE_IN_PAGE.fullmatch((HERE / "examples" / f"{name}.py").read_text(encoding="utf-8"))
+    assert found, f"docs/examples/{name}.py does not begin with a title, an explanation and code"
+    return found["title"], found["text"], found["code"]
+
+
+def example_notebooks() -> dict[str, str]:
+    """Returns the notebooks of the examples, by path below `docs/`."""
+    return {f"examples/{name}.ipynb": example_notebook(name) for name in EXAMPLES}
+
+
+def examples_page() -> str:
+    """Returns the page of the examples: thumbnails, then each picture with its code."""
+    names = EXAMPLES
+    titles = {name: example(name)[0] for name in names}
+    anchors = {name: re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for name, title in titles.items()}
+    thumbnails = [f"[![{titles[name]}](examples/{name}.png)](#{anchors[name]})" for name in names]
+    rows = [thumbnails[i : i + 3] for i in range(0, len(names), 3)]
+    text = (
+        "# Examples to copy\n\nEach example is a complete script. A notebook has the same code. Scripts need the extra `report`: "
+        "`pip install -e '.[report]'`. Notebooks also need Jupyter: `pip install jupyter`.\n\n"
+        f"{table(rows[0], rows[1:])}"
+    )
+    for name in names:
+        title, said, code = example(name)
+        links = f"[Script](examples/{name}.py), [notebook](examples/{name}.ipynb)."
+        text += f"\n## {title}\n\n{said} {links}\n\n![{title}](examples/{name}.png)\n\n```python\n{code}```\n"
+    return text
+
+
+def example_notebook(name: str) -> str:
+    """Returns an example as a notebook, without outputs."""
+    title, said, code = example(name)
+    parts = [("markdown", f"# {title}\n\n{said}"), ("code", code.rstrip())]
+    cells: list[dict[str, Any]] = [
+        {"cell_type": kind, "id": f"{name}-{i}".replace("_", "-"), "metadata": {}, "source": text.splitlines(keepends=True)}
+        for i, (kind, text) in enumerate(parts)
+    ]
+    cells[1] |= {"execution_count": None, "outputs": []}
+    kernel = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    return json.dumps({"cells": cells, "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}, indent=1) + "\n"
+
+
+def draw_example(name: str, folder: Path) -> Path:
+    """Runs an example in a folder, and reduces its picture there to a few colours; returns the picture."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE, fname=None), contextlib.chdir(folder):
+        matplotlib.use("agg")
+        exec(compile(example(name)[2], f"docs/examples/{name}.py", "exec"), {"__name__": "__main__"})
+    from PIL import Image
+
+    path = folder / f"{name}.png"
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
 def cells(path: Path) -> list[Mapping[str, Any]]:
     """Returns the cells of a notebook."""
     return json.loads(path.read_text(encoding="utf-8"))["cells"]
@@ -621,3 +709,17 @@ def notebook(path: Path) -> str:
         said = "".join("".join(output.get("text", [])) for output in one["outputs"])
         text += f"```text\n{said.rstrip()}\n```\n\n" if said else ""
     return text
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Writes the generated files that are kept in the repository, and the pictures of the examples that are named."""
+    for name, text in {**kept_files(), "reference/logs.md": log_page()}.items():
+        (HERE / name).parent.mkdir(exist_ok=True)
+        (HERE / name).write_text(text, encoding="utf-8", newline="\n")
+    for name in arguments:
+        with tempfile.TemporaryDirectory() as folder:
+            (HERE / "examples" / f"{name}.png").write_bytes(draw_example(name, Path(folder)).read_bytes())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

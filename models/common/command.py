@@ -140,8 +140,9 @@ class Parser(argparse.ArgumentParser):
             self._add_vehicle()
 
     def add_one(self, which: str) -> None:
-        """Adds the options `--controller`, which is required and cannot be repeated, and `--vehicle`."""
-        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} (required)")
+        """Adds the options `--controller`, not repeatable, and `--vehicle`."""
+        usual = "default: the first linear controller of the vehicle file"
+        self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} ({usual})")
         self._add_vehicle()
 
     def _add_vehicle(self) -> None:
@@ -259,17 +260,20 @@ def chosen_of(
     return selected
 
 
-def one_chosen(names: Sequence[str], given: str | None) -> str:
+def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
     """Returns the controller that a single `--controller` selects.
 
     Args:
         names: names of all allowed controllers.
         given: value of `--controller`.
+        usual: controller without `--controller`; empty if the option is required.
 
     Raises:
         InputError: no name is given, or the name is unknown.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
+    if given is None and usual:
+        return usual
     if given is None:
         raise InputError(f"no controller is given; {allowed}")
     if given == ALL:

@@ -30,6 +30,7 @@ from sim.studies.ride.metrics import ROOT_MEAN_SQUARE, Metric, over_runs
 from sim.studies.ride.score_table import headline, score_lines
 from sim.studies.ride.scores import FIELDS, FORCES, Score, columns_of, score_over_runs
 from synth.controller.controller import AnyController
+from synth.controller.law_margins import law_fault
 from synth.vehicle.designer import Designer
 
 HEADLINES: tuple[type[Metric], ...] = tuple(one for one in METRICS.load_all().values() if one.headline and not one.effort)
@@ -54,7 +55,7 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
             one = score_over_runs(
                 vehicle, candidate.name, {metric: each[runs] for metric, each in values.items()}, plan.distances[runs]
             )
-            scores[name][candidate] = replace(one, sound=plan.driver(name, candidate).growth == 0)
+            scores[name][candidate] = replace(one, fault=law_fault(vehicle, plan.driver(name, candidate)))
     return scores
 
 

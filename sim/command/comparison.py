@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -264,6 +265,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
     """
     if passive is not None:
         documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
+        documents = [replace(one, blocks=one.blocks[1:]) for one in documents]  # verdicts are the last lines of the command
         return [line for one in documents for line in ["", *text_lines(one, "full")]]
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]

@@ -17,10 +17,10 @@ from models.document.document import Document, Statement
 from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import text_lines
 from models.roads.road import Road
-from models.vehicle.names import logged_variant, named_files, run_without, variant
+from models.vehicle.names import logged_variant, named_files, run_without, variant, without_copies
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.road_options import end_lines, gaps, starts_later, with_start
+from sim.command.road_options import end_lines, gaps, left_out_lines, starts_later, with_start
 from sim.drive.response import Response
 from sim.runs.report import FEW, HALF_STEP, RUN, share_statements, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
@@ -106,7 +106,9 @@ def drive(
         InputError: an option, a vehicle file, the road or the logs folder is invalid.
     """
     vehicles = read_vehicles(options)
-    names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
+    known = {title: vehicle.controller_names for title, vehicle in vehicles.items()}
+    usual = without_copies(dict.fromkeys(name for some in known.values() for name in some))
+    names = chosen_of(known, options.controller, usual)
     _check_variants(options, vehicles)
     times = {title: sample_times(vehicle, options.duration, options.timestep) for title, vehicle in vehicles.items()}
     roads = {title: print_remarks(road_of(vehicle, options, times[title])) for title, vehicle in vehicles.items()}
@@ -187,16 +189,19 @@ def drive(
         lines = title_lines(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         if rides:
             lines += end_lines(road, options.duration)
-        lines += _above(options, driven, start, end)
+        details = _above(options, driven, start, end)
+        lines += [] if options.verbose else details
         if response.blocks and not options.brief:
             lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
         about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += "; -v prints more"
-        lines += ["", *score_lines(scores, about)]
+        lines += ["", *score_lines(scores, about), *(details if options.verbose else [])]
         if measured is not None:
             lines += ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
+        omitted = dict.fromkeys(name for some in known.values() for name in some if name not in usual)
+        lines += left_out_lines([*omitted] if not options.controller else [])
         lines += ["", *text_lines(Document("", verdicts(shown)))]
         if unstable and not options.allow_unstable:
             lines += [f"exit code 1, because a closed loop is unstable ({', '.join(unstable)}); --allow-unstable permits this"]

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 
 def add_vehicles(parser: Parser) -> None:
-    """Adds `--controller`, `--vehicle` and `--without`. Each may be given several times."""
-    parser.add_controller_and_vehicle("required", several="results of all vehicles are in one table")
+    """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
+    parser.add_controller_and_vehicle(
+        "default: all but published copies, such as I_printed", several="results of all vehicles are in one table"
+    )
     parser.add_argument(
         "--without",
         action="append",
@@ -77,8 +79,14 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
     return [] if given else [name for name in vehicle.controller_names if name not in names]
 
 
-def left_out_lines(names: Sequence[str]) -> list[str]:
-    """Returns a line that lists the omitted controllers and explains how to include them; an empty list if none is omitted."""
+def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
+    """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted.
+
+    Args:
+        one: True for a command that takes one controller.
+    """
+    if one and names:
+        return [f"other controllers: {', '.join(names)}; choose one with --controller NAME"]
     return [f"not simulated: {', '.join(names)}; add one with --controller NAME, or all with --controller {ALL}"] if names else []
 
 

@@ -41,7 +41,8 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
 
         given = print_remarks(read_vehicle(options.vehicle))
         if not several:
-            names = [one_chosen(given.controller_names, options.controller)]
+            linear = [each for each in given.controllers if each in given.linear_names]
+            names = [one_chosen(given.controller_names, options.controller, next(iter(linear), given.linear_names[1]))]
         else:
             usual = [each for each in one.usual if each in given.controller_names]
             names = chosen_controllers(given.controller_names, options.controller, usual)
@@ -75,8 +76,8 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         print_json(whole)
     else:
         lines = one.lines(request, result, [*written_lines(outputs), *log_lines([logs])])
-        if several and given is not None:
-            lines += left_out_lines(omitted_controllers(given, options.controller, request.names))
+        if given is not None:
+            lines += left_out_lines(omitted_controllers(given, options.controller, request.names), one=not several)
         say(lines)
     return 0 if one.holds(result) and len(driven) == len(request.names) else 1
 

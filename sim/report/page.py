@@ -14,7 +14,7 @@ from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
 from sim.studies.ride.run_metrics import measured_words
 from sim.studies.ride.score_table import headline, scores_record, some_names
-from sim.studies.ride.scores import Score, score_of, scores_of_runs, without_unsound
+from sim.studies.ride.scores import Score, score_of, scores_of_runs, with_faults
 from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers
@@ -91,8 +91,8 @@ def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Sc
         return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.run_metrics)
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven_controllers)))
-    unsound = [one.name for one in scope.driven_controllers if one.growth]
-    return without_unsound([there.get(name) or score_of(scope.vehicle, name, {}) for name in names], unsound)
+    scores = [there.get(name) or score_of(scope.vehicle, name, {}) for name in names]
+    return with_faults(scores, scope.vehicle, scope.driven_controllers)
 
 
 def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:

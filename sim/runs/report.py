@@ -49,6 +49,7 @@ from synth.controller.report import (
     filter_lines,
     growth_lines,
     ideal_lines,
+    named_gain,
     norm_if_implemented,
     notes_on_sampled_loop,
     study_notes,
@@ -191,7 +192,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     certificate = controller.certificate
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
     return [
-        controller.text,
+        named_gain(vehicle, controller) if controller.law.acts and not controller.law.states else controller.text,
         *([claims(controller), certificate.own.words] if certificate.stable else []),
         *ideal_lines(vehicle, [controller]),
         *ratio_notes(vehicle.kind, vehicle.parameters),
@@ -496,9 +497,10 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     warning = margins.instability or margins.own_force or margins.small
     studied = study_notes(run.vehicle, controller)
     claimed = [] if len(studied) > 1 else [claims(controller)]
-    first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
+    marked = "WARNING: small " * (full and warning == margins.small) + warning
+    first = [*claimed, *studied, *[marked] * bool(warning), *code_notes(code, run.vehicle)]
     every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
-    others = [text for text in every if not any(one.startswith(text) for one in first)]
+    others = [text for text in every if not (any(one.startswith(text) for one in first) or (warning and warning in text))]
     return (
         verdict(run),
         *notes(*first),

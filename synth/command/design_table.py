@@ -11,14 +11,15 @@ import numpy as np
 
 from models.common.command import print_json
 from models.common.errors import InputError
-from models.common.printed import Stages, as_name, by_text, command, percent, say, shell_line, title_lines
-from models.document.document import Block, Document, Statement, Table, notes
+from models.common.printed import Stages, as_name, by_text, percent, say, title_lines
+from models.document.document import Block, Document, Statement, notes
 from models.document.field import Field, Record
 from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import screen_lines
+from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import Row, answers, describe, details, lacks_damping, proofs, record
+from synth.command.table import Row, answers, describe, details, lacks_damping, record
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.problem import measurements
 from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
@@ -30,7 +31,7 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
 
 FREE = "limits for every controller"  # stage after the designs: the limit for all controllers, and gains that are not unique
-MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
+MORE = "-v explains the columns and prints poles, notes and laws."
 # Options that replace gains and rides in the output
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
 FLAT = 1e-4  # relative increase of gamma for which the possible changes of the gains are printed
@@ -275,7 +276,7 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
         files += ["no picture is written, because no loop is stable"]
     title, end = title_lines(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
     lines = screen_lines(document(designs, options), full, [*title, *files, *end])
-    return [*title, *lines, *(_refine_command(designs.rows, options) if full else []), *files, *end]
+    return [*title, *lines, *files, *end]
 
 
 def document(designs: Designs, options: Namespace) -> Document:
@@ -284,7 +285,7 @@ def document(designs: Designs, options: Namespace) -> Document:
     asked = bool(options.given & ANSWER_OPTIONS)
     margins = {row.name: row.margins for row in rows if row.margins is not None}
     felt = notes(*direct_feedback(margins), detail="brief")
-    blocks: list[Block] = [*_worse(designs), *felt, *(details(vehicle, row) for row in rows)]
+    blocks: list[Block] = [*_worse(designs), *felt]
     if not options.verbose:
         gains = not asked or len(rows) == 1
         blocks += answers(rows, gains, checked=bool(options.check))
@@ -302,7 +303,9 @@ def document(designs: Designs, options: Namespace) -> Document:
     if unnamed and not (options.controller or options.check):
         names = ", ".join(map(as_name, unnamed))
         blocks += notes(f"Linear analysis does not apply to {names}. Simulate them with sim.drive or sim.campaign.")
-    return Document("", (*blocks, proofs(rows), *_flat(designs), *([] if options.verbose else notes(MORE))))
+    own = [row.name for row in rows] if options.controller else without_copies(row.name for row in rows)
+    blocks += [details(vehicle, row) for row in rows if row.name in own]
+    return Document("", (*blocks, *([] if options.verbose else notes(MORE))))
 
 
 def _worse(designs: Designs) -> tuple[Statement, ...]:
@@ -350,35 +353,10 @@ def _without_ride(designs: Designs) -> dict[str, str]:
     return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 
 
-def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:
-    """Returns lines with an empty line and the command that lowers these norms; empty if `--refine` lowers none."""
-    named = [f"--controller={row.name}" for row in rows if row.worth and not options.given & ANSWER_OPTIONS]
-    words = [shell_line([word]) for word in (f"--vehicle={options.vehicle}", *named, "--refine")]
-    return ["", "To refine:", *command(["python -m synth", *words])] if named else []
-
-
 def _at_least(share: float) -> str:
     """Returns a fraction in percent, rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(share)) - 1)
     return percent(math.floor(share / unit) * unit)
-
-
-Move = tuple[str, list[float | None]]
-MOVES: tuple[Field[Move], ...] = (
-    Field("state", lambda one: one[0]),
-    Field("gain", lambda one: one[1][0], ".6g"),
-    Field("may fall by", lambda one: "any" if one[1][1] is None else one[1][1], ".4g"),
-    Field("may rise by", lambda one: "any" if one[1][2] is None else one[1][2], ".4g"),
-)
-
-
-def _flat(designs: Designs) -> list[Statement | Table]:
-    """Returns a table of the gains that are not unique."""
-    if not designs.flat:
-        return []
-    of = "gamma of the ideal loop" if designs.vehicle.sampled else "gamma"
-    text = f"How far each of these feedback gains may change alone before {of} rises by {percent(FLAT)}:"
-    return [*notes(text, detail="full"), Table.of("flat", text, MOVES, designs.flat.items(), detail="full")]
 
 
 def verdict(rows: Sequence[Row]) -> Statement:

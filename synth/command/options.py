@@ -162,5 +162,5 @@ def _parser() -> Parser:
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write all designs of --front (.csv)")
     parser.add_count("--point", "numbers of the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
-    parser.add_printed("poles, proofs, notes and gains of every controller, and the gains that are not unique")
+    parser.add_printed("poles, notes and gains of every controller")
     return parser

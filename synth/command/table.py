@@ -1,7 +1,7 @@
 """Rows of the design table of a vehicle file, and their output: a document for the terminal or a report, and JSON."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from models.laws.linear import FEWER, gain_text
 from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import Certificate, Definiteness, LmiProof
+from synth.analysis.certificate import Certificate, LmiProof
 from synth.analysis.invariant_point import UNCHANGED_NORM, is_pole, without_control
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
@@ -42,7 +42,7 @@ from synth.controller.report import (
     growth_lines,
     ideal_lines,
     judged_lines,
-    law_text,
+    named_gain,
     norm_record,
     notes_on_sampled_loop,
     pid_line,
@@ -204,9 +204,8 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
 
 
 EXPLANATION = (
-    "LMI (20) proves the bound of each law. Two other methods compute the norm. A certificate holds if all poles are stable, X "
-    "> 0, LMI (20) is negative definite and the norm is at most the bound. No solver takes part in this check. No controller "
-    "with the same measurements, of any order, has a norm below the lower bound."
+    "LMI (20) proves the bound, two other methods compute the norm. No controller with the same measurements, of any order, has "
+    "a norm below the lower bound."
 )
 
 
@@ -307,14 +306,6 @@ def _poles(controller: Controller) -> list[complex]:
 
 HERTZ = Field[complex]("frequency", abs, ".3g", 1 / (2 * math.pi), unit="Hz")
 DAMPING = Field[complex]("damping", lambda pole: abs(pole.real) / abs(pole) if pole else 0.0, ".2g")
-POLES: tuple[Field[complex], ...] = (
-    Field(
-        "pole [1/s]",
-        lambda pole: SLOWEST_POLE.digits(pole.real) + (f" +- {SLOWEST_POLE.digits(pole.imag)}j" if pole.imag else ""),
-    ),
-    HERTZ,
-    DAMPING,
-)
 
 
 INSIDE = "the sampled norm is reached within one sample period: no controller at this rate has a smaller norm"
@@ -326,7 +317,8 @@ def details(vehicle: Vehicle, row: Row) -> Document:
         return Document(f"controller {row.name}", notes(*(f"NOT DESIGNED: {failure}" for failure in row.failures), detail="full"))
     controller, certificate = row.controller, row.controller.certificate
     said = [
-        *([law_text(controller.law)] if controller.measured else ["no control force"]),
+        *([named_gain(vehicle, controller)] if controller.measured else ["no control force"]),
+        *([f"poles [1/s]: {'; '.join(map(pole_words, _poles(controller)))}"] if len(_poles(controller)) else []),
         *([certificate.stability.words] if lacks_damping(controller) else []),
         *(f"specification: {one.text}" for one in controller.specifications),
         *([row.witness.text] if row.witness is not None else []),
@@ -336,29 +328,18 @@ def details(vehicle: Vehicle, row: Row) -> Document:
         *([INSIDE] if row.sampled is not None and row.sampled.inside else []),
         *(f"FAILS: {failure}" for failure in failures_of(row)),
     ]
-    table = Table.of(f"poles-{row.name}", "", POLES, _poles(controller))
-    law, *others = notes(*said, detail="full")
-    return Document(f"controller {row.name}: measures {row.measures}", (law, table, *others), "full")
+    law, *others = said
+    if law.startswith("gain: "):  # names its signals
+        return Document(f"controller {row.name}, {law}", notes(*others, detail="full"), "full")
+    return Document(f"controller {row.name}: measures {row.measures}", notes(*said, detail="full"), "full")
 
 
-def proofs(rows: Sequence[Row]) -> Table:
-    """Returns the table of proofs: the difference between the two norms, and the margins of the proved inequalities."""
-    caption = "How far the two computations of the norm differ, and the smallest eigenvalue proved of each inequality, balanced."
-    return Table.of("proofs", caption, PROOFS, [row for row in rows if row.controller is not None], detail="full")
-
-
-def _proved_eigenvalue(row: Row, part: Callable[[LmiProof], Definiteness]) -> float | None:
-    """Returns the smallest eigenvalue of an inequality; None if the inequality is not proved."""
-    proof = row.certificate.proof if row.certificate is not None else None
-    return part(proof).smallest if proof is not None and part(proof).proved else None
-
-
-PROOFS: tuple[Field[Row], ...] = (
-    CONTROLLER,
-    Field[Certificate]("routes apart", lambda one: one.norm.gap if one.stable else None, ".0e").of(CERTIFICATE),
-    Field("X > 0 by", lambda row: _proved_eigenvalue(row, lambda proof: proof.positive), ".1e"),
-    Field("LMI (20) < 0 by", lambda row: _proved_eigenvalue(row, lambda proof: proof.negative), ".1e"),
-)
+def pole_words(pole: complex) -> str:
+    """Returns a pole, and the natural frequency and damping ratio of a mode that oscillates."""
+    if not pole.imag:
+        return SLOWEST_POLE.digits(pole.real)
+    place = f"{SLOWEST_POLE.digits(pole.real)} +- {SLOWEST_POLE.digits(pole.imag)}j"
+    return f"{place} ({HERTZ.text(abs(pole))}, damping {DAMPING.cell(pole)})"
 
 
 def _hardware(controller: Controller) -> dict[str, Any]:

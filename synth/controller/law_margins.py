@@ -129,6 +129,14 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
     return LawMargins(law.growth, where, gain, gain_lower, disk, direct)
 
 
+def law_fault(vehicle: Vehicle, controller: AnyController) -> str:
+    """Returns why a controller is never called the best, in words; empty for a sound one, and for a law that is not linear."""
+    if controller.growth:
+        return "unstable by itself"
+    margin = law_margins(vehicle, controller).disk
+    return f"disk margin below {LEAST_DISK:g}" if margin is not None and margin < LEAST_DISK else ""
+
+
 def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     """Returns a warning about laws that are unstable by themselves, and a warning about small margins of other laws."""
     grow = {name: one for name, one in margins.items() if one.growth}

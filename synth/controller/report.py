@@ -9,7 +9,7 @@ import numpy as np
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError, list_names
 from models.common.extensions import FEATURES
-from models.common.printed import NORM_DIGITS, as_name, percent, rough
+from models.common.printed import NORM_DIGITS, as_name, entry, percent, rough
 from models.document.field import OMITTED_KEY, Field, Record
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw, gain_text
@@ -168,6 +168,27 @@ def law_text(law: LinearLaw) -> str:
     return "; ".join(filter(None, (law.text, FEATURES.load("PID laws").pid_text(law))))
 
 
+def named_gain(vehicle: Vehicle, controller: Controller) -> str:
+    """Returns a static law with the unit and the signal of each entry; the matrix if it has more than `MOST_ENTRIES`."""
+    gain, forces = controller.law.D, vehicle.linear_model.inputs
+    if controller.law.states or gain.size > MOST_ENTRIES or gain.shape != (len(forces), len(controller.measured)):
+        return law_text(controller.law)
+    units = [vehicle.kind.signal(name).unit for name in controller.measured]
+    of = [unit.removesuffix("/s2").removesuffix("/s") for unit in units]
+    rates = [
+        "" if unit == "N" else f" N{' s2' * unit.endswith('/s2')}{' s' * unit.endswith('/s')}/{base}"
+        for unit, base in zip(units, of, strict=True)
+    ]
+    rows = []
+    for force, row in zip(forces, gain, strict=True):
+        entries = [f"{entry(value)}{rate} {name}" for value, rate, name in zip(row, rates, controller.measured, strict=True)]
+        rows.append(f"gain{f' of {force}' if len(forces) > 1 else ''}: {', '.join(entries)}")
+    return "; ".join(rows)
+
+
+MOST_ENTRIES = 8  # of a gain that is written with signals and units
+
+
 def pid_line(controller: Controller) -> str:
     """Formats the gains of a designed PI or PID law as in a vehicle file. The result is empty for other laws."""
     pid = FEATURES.load("PID laws")
@@ -241,7 +262,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
     notes += [margins.own_force] if margins.own_force else []
-    notes += [f"the ideal loop is close to instability ({margins.small}); see sim.margins"] if margins.small else []
+    notes += [f"WARNING: small {margins.small}"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
         follows = f"when forces are clipped, the states of the law follow the clipped forces at {rate:g} 1/s or faster"

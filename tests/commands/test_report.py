@@ -36,8 +36,8 @@ def test_names_and_sketch(report):
     """A page begins with a sketch of its vehicle; names of controllers are code in its sentences, plain in title and SVG."""
     page, result = report
     text = page.read_text(encoding="utf-8")
-    assert result["headline"].startswith("`I` rides best, ")
-    assert "<h2><code>I</code> rides best, " in text
+    assert result["headline"].startswith("`II` rides and holds the road best")
+    assert "<h2><code>II</code> rides and holds the road best" in text
     assert text.index('<figure class="vehicle">') < text.index("<h2>")
     assert "<title>quarter_car: passive, state, I and II on a quarter car" in text
     assert "`" not in html.unescape(text)

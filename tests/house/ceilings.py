@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("models", "synth", "sim", "tests", "docs")
 SUFFIXES = frozenset((".py", ".c", ".h", ".css", ".js", ".mjs", ".jinja", ".md"))
-SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md|tutorials/notebook\.md)")  # generated
+SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|examples|tutorials/notebook)\.md)")  # generated
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
@@ -178,18 +178,13 @@ commands that drive                                            1109    989    37
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
-<<<<<<< HEAD
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   5435   1921
-    tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
-=======
-    docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5237   1603
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
->>>>>>> e4
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*
+    tests/house/test_examples.py docs/examples/*.py
     docs/*.{md,py} docs/{how-to,explanation,tutorials}/index.md docs/start/*.md
     docs/how-to/{analyse,deliver,design,simulate,vehicle}.md
 """

@@ -20,7 +20,11 @@ def test_passive_comes_first(capsys):
     result = answer(capsys, bump.main, *RUN)
     compared = result["compared"]["controllers"]
     assert [one["controller"] for one in compared] == ["passive", "I", "II_printed"]
-    scores = [Score(one["controller"], {key: one[key] for key in KEYS}) for one in compared]
+    fault = "disk margin below 0.3"
+    scores = [Score(one["controller"], {key: one[key] for key in KEYS}, fault * (one["controller"] == "I")) for one in compared]
+    assert min(compared, key=lambda one: one["ride"])["controller"] == "I"  # but its margin is 0.19, so it gets no star
+    assert best(scores)["ride"] == ["II_printed"]
+    assert f"*: best without I ({fault});" in " ".join(printed.split())
     assert best(scores) == result["compared"]["best"]
     for one, run in zip(compared[1:], result["runs"], strict=True):
         assert one["peak_travel"] == run["signals"]["suspension_deflection"]["peak"]["mujoco"]

@@ -15,7 +15,8 @@ from sim.__main__ import VERBS
 from tests.support.commands import main_of
 
 ROOT = Path(__file__).parents[2]
-GENERATED = ("docs/reference/", "docs/gallery.md", "docs/tutorials/notebook.md", "docs/_build/")  # when the site is built
+# Kept in the repository (the reference without messages, the examples), or made when the site is built.
+GENERATED = ("docs/reference/", "docs/gallery.md", "docs/examples.md", "docs/tutorials/notebook.md", "docs/_build/")
 SITE = tuple(
     sorted(name for path in ROOT.glob("docs/**/*.md") if not (name := path.relative_to(ROOT).as_posix()).startswith(GENERATED))
 )

@@ -168,23 +168,30 @@ def test_what_winds_up(vehicle, winds_up):
         assert not law_margins(vehicle, stable).winds_up
 
 
+SOFT = """
+[controllers.soft]
+measured = ["sprung_velocity"]
+gain = [[-3000.0]]
+"""
+
+
 def test_an_unsound_law_is_never_the_best(tmp_path, capsys):
     """A law that is unstable by itself and has the least force gets no star; the legend names it."""
     path, weak = tmp_path / "mine.toml", section(SLOW).replace("1e4", "1e-6")  # as if it had no state, for half a second
-    path.write_text(read_vehicle("quarter_car").text + weak + "[limits]\nactuator_force = 3000.0\n")
-    arguments = ["--vehicle", str(path), *(f"--controller={name}" for name in ("II", "I", "mine")), "--no-logs"]
+    path.write_text(read_vehicle("quarter_car").text + SOFT + weak + "[limits]\nactuator_force = 3000.0\n")
+    arguments = ["--vehicle", str(path), *(f"--controller={name}" for name in ("II", "soft", "mine")), "--no-logs"]
     arguments += ["--duration", "0.5"]
     bump([*arguments, "--json"])
     result = json.loads(capsys.readouterr().out)
     forces = {one["controller"]: one["force_peak"] for one in result["compared"]["controllers"]}
     assert min((name for name in forces if name != "passive"), key=lambda name: forces[name]) == "mine"
-    assert result["compared"]["best"]["force_peak"] == ["II"]
+    assert result["compared"]["best"]["force_peak"] == ["soft"]
     assert not any("mine" in names for names in result["compared"]["best"].values())
     assert [run["margins"]["winds_up"] for run in result["runs"]] == [False, False, True]
     bump(arguments)
     out = prose(capsys.readouterr().out)
     assert "mine: unstable by itself (+30 1/s), winds up at 3 kN" in out
-    assert "*: best without mine;" in out
+    assert "*: best without mine (unstable by itself);" in out
 
 
 def test_an_overflow_is_not_blamed_on_the_physics():

@@ -31,7 +31,17 @@ def headline(scores: Sequence[Score]) -> str:
     for (verb, what), names in praised:
         said.setdefault(tuple(names), []).append(f"{verb}{'s' * (len(names) == 1)}{what}")
     texts = [f"{some_names(names)} {' and '.join(verbs)} best" for names, verbs in said.items()]
+    if not texts and (faults := _faults(scores)):
+        return f"No controller is called best: {', '.join(f'{some_names(names)} ({fault})' for fault, names in faults.items())}"
     return ", ".join(texts) or "All controllers have the same values"
+
+
+def _faults(scores: Sequence[Score]) -> dict[str, list[str]]:
+    """Returns the labels of the controllers with each fault."""
+    return {
+        fault: [one.label for one in scores if one.fault == fault]
+        for fault in dict.fromkeys(one.fault for one in scores if one.fault)
+    }
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -77,8 +87,8 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
         columns += others
-    unsound = ", ".join(one.label for one in scores if not one.sound)
-    star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
+    left_out = ", ".join(f"{', '.join(names)} ({fault})" for fault, names in _faults(scores).items())
+    star = f"*: best{f' without {left_out}' if left_out else ''}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
     caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
     if not there:

@@ -4,7 +4,7 @@ If a vehicle has several wheels, suspensions or actuators, each value is that of
 """
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.drive.response import Response
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, over_runs
+from synth.controller.controller import AnyController
+from synth.controller.law_margins import law_fault
 
 if TYPE_CHECKING:
     from sim.runs.run import Run
@@ -31,7 +33,7 @@ class Score:
     Attributes:
         controller: name of the controller.
         values: values by key of `FIELDS`, in SI units; None if the vehicle does not have this metric or the run broke off.
-        sound: False for a law that is unstable without feedback or winds up. Such a law is never marked as best.
+        fault: reason why the controller is never marked as best, see `law_fault`; empty for a controller without a fault.
         vehicle: name of the vehicle, if several are compared; otherwise empty.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
         strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
@@ -40,7 +42,7 @@ class Score:
 
     controller: str
     values: Mapping[str, float | None]
-    sound: bool = True
+    fault: str = ""
     vehicle: str = ""
     without: str = ""
     strokes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -78,9 +80,10 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
     return used
 
 
-def without_unsound(scores: Iterable[Score], unsound: Collection[str]) -> list[Score]:
-    """Returns the scores with `sound` set to False for the controllers in `unsound`."""
-    return [replace(one, sound=False) if one.controller in unsound else one for one in scores]
+def with_faults(scores: Iterable[Score], vehicle: Vehicle, controllers: Iterable[AnyController]) -> list[Score]:
+    """Returns the rows of a vehicle with the fault of each controller."""
+    faults = {one.name: law_fault(vehicle, one) for one in controllers}
+    return [replace(one, fault=faults.get(one.controller, "")) for one in scores]
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
@@ -129,11 +132,11 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
 def best(scores: Iterable[Score]) -> dict[str, list[str]]:
     """Returns the names of the best controllers by key: those with the smallest value, rounded to the digits of the table.
 
-    The comparison of forces does not include the passive vehicle. Laws that are not sound are never the best. If all values are
+    The comparison of forces does not include the passive vehicle. A controller with a fault is never the best. If all values are
     equal, no controller is the best.
     """
     names: dict[str, list[str]] = {}
-    sound = [one for one in scores if one.sound]
+    sound = [one for one in scores if not one.fault]
     for quantity in FIELDS:
         compared = [one for one in sound if quantity not in FORCES or one.controller != PASSIVE]
         values = {one.label: value for one in compared if (value := quantity.value(one)) is not None}
@@ -184,4 +187,4 @@ def scores_of_runs(
         one = score_of(vehicle, name, values)
         strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
         scores.append(replace(one, vehicle=title, without=part, strokes=strokes))
-    return without_unsound(scores, [run.controller.name for run in runs if run.controller.growth])
+    return with_faults(scores, runs[0].vehicle, [run.controller for run in runs])
