@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3350   2255      0
+what all commands share: files, options, checks, tables of numbers   3354   2255      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6485   2014    345
+vehicle file, types, equations, MJCF                           6485   2031    346
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -41,7 +41,7 @@ laws in Python                                                  789    696    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            207    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1339    725    204
+semi-active dampers and laws                                   1340    725    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
@@ -109,7 +109,7 @@ two steps, LMI path                                            2833   1013    14
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py
     docs/explanation/{control-problem,reproduce-the-paper}.md
-certificates, norms, lower bounds                              3548   2293     46
+certificates, norms, lower bounds                              3551   2293     46
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
@@ -120,7 +120,7 @@ plant algebra, filters, any plant                              3120   2127    32
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3538    650    183
+synth command, controller record, designer                     3532    661    183
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
@@ -130,15 +130,15 @@ log re-verification                                             900    579     4
 recordings: MCAP, Foxglove, Rerun                              2273   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3708   1380     77
+page and figures                                               3709   1380     77
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2952   1799    205
+campaigns                                                      2958   1799    205
     sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/campaign.md
     docs/how-to/tune-a-law.md
-studies: one noun for commands and the page                     446      0      0
+studies: one noun for commands and the page                     448      0      0
     sim/command/study.py sim/studies/{command_name,study,subject}.py
-gallery of papers                                               745    343     49
+gallery of papers                                               746    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
 margins in physics                                             2147    823     72
@@ -147,9 +147,9 @@ margins in physics                                             2147    823     7
 recommendation of a controller                                 1569    304    203
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
-frequency, sweep                                               2069    602     36
+frequency, sweep                                               2072    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3358   1277      0
+ride metrics and their expectation                             3377   1281      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
@@ -166,20 +166,20 @@ MuJoCo loop                                                    2958   1099      
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py
-linear responses                                               1120    416      0
+linear responses                                               1121    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2821   1049    106
+runs, verdict, their text                                      2823   1049    106
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1109    989    373
+commands that drive                                            1127    989    373
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5435   1921
+house, pages, benchmarks                                          0   5750   2363
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
