@@ -28,6 +28,7 @@ from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
+HOPE = 1.1  # times the best value; a candidate with more that uses little of its limits is not searched again
 CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
 OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
 Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
@@ -165,7 +166,8 @@ class _Work:
         there = task.within.used(self.driven[last].usage, self.reserve)
         linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
         held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
-        if not held or SLACK <= max(there[name] for name in held) <= 1:
+        most = max((there[name] for name in held), default=1.0)
+        if not held or SLACK <= most <= 1 or self.driven[last].value(task) > (1.0 if most > 1 else HOPE) * self._least():
             return
         for name in held:
             factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
@@ -176,6 +178,10 @@ class _Work:
         best = family.best(task)
         if best is not None and best[0] not in self.expected:
             self.expected[best[0]] = best[1]
+
+    def _least(self) -> float:
+        """Returns the least value of the goal within the limits; infinite without any."""
+        return min((row.rating.value(self.task) for row in self.rows() if row.keeps and row.driven), default=math.inf)
 
     def _certify(self) -> None:
         """Gives the best candidate of each family its certificate."""

@@ -41,6 +41,7 @@ class Task:
         goal: quantity that is minimised.
         within: limits that a candidate keeps.
         timestep: timestep of the physics [s].
+        effort: number of evaluated candidates over the usual one.
     """
 
     vehicle: Vehicle
@@ -48,6 +49,7 @@ class Task:
     goal: str = "ride"
     within: Within = field(default_factory=Within)
     timestep: float = 1e-3
+    effort: float = 1.0
 
     @property
     def random(self) -> bool:
