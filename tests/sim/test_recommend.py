@@ -16,7 +16,8 @@ from sim.command.study import main as study_command
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import body_sensors, changed_passive, semi_active, skyhook
-from sim.studies.recommend.optimal import USUAL, certified, design, lower_bound, searched, uncertified
+from sim.studies.recommend.bound import least_rms, lower_bound
+from sim.studies.recommend.optimal import USUAL, certified, design, searched, uncertified
 from sim.studies.recommend.rating import margins_of, rate_expected
 from sim.studies.recommend.recommend import recommendation
 from sim.studies.recommend.result import RankedContender, Recommendation, describe, record

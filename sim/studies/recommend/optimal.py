@@ -27,7 +27,7 @@ from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, problem
 from synth.design.descent.landscape import Work
 from synth.design.fixed_order.reduction import reductions
-from synth.design.full_order.quadratic import h2_norm, lqg_law
+from synth.design.full_order.quadratic import lqg_law
 from synth.design.full_order.riccati import RiccatiSearch
 from synth.design.problem import DesignProblem, quiet
 from synth.plant.generalized import Plant
@@ -45,7 +45,6 @@ USUAL: Mapping[str, float] = {
     "noise": 0.0,
 }  # powers of e
 FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # weight that a goal fixes at 1
-NEARLY_NONE, ENOUGH = -9.0, 5e-3  # power of e of weights that keep a problem regular; relative change of a bound that is small
 Weights = Mapping[str, float]
 # H-infinity adds noise and cost, a share of the plant's own size, so that its Riccati equations have a solution. A larger share
 # has larger margins.
@@ -162,28 +161,3 @@ def certified(task: Task, one: Controller) -> Controller:
     """Returns a controller with its certificate for the weights of the vehicle file."""
     designer = Designer(task.vehicle.with_force_actuators if task.vehicle.dampers else task.vehicle, search=False)
     return replace(designer.certify(one.name, one.measured, one.law, own_hardware(task)), designed=True)
-
-
-def lower_bound(task: Task) -> float | None:
-    """Returns the expected ride that no controller of the same sensors falls below without limits [m/s2]; None if unknown.
-
-    LQG has the least mean square of all controllers. Its cost of force falls until the ride falls by less than `ENOUGH`; the
-    bound is lower by twice the last change. The worst of several points is at least their root mean square.
-    """
-    last, change, points = math.inf, math.inf, task.line.ride_points.worst_of
-    lag, noise = task.pushed.limits.actuator_bandwidth, tuple(task.noise_of(task.sensors).tolist())
-    conditions = DesignConditions(noise, lag)
-    for force in np.arange(-3.0, -12.0, -1.5):
-        car = weighted_vehicle(task, {"travel": NEARLY_NONE, "tyre": NEARLY_NONE, "force": float(force)}, delayed=False)
-        posed = problem(car, task.sensors, DesignConditions(bandwidth=lag))
-        try:
-            law = on_readings(lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements]), posed)
-            one = replace(uncertified(task, "bound", task.sensors, law), hardware=conditions)
-            ride = task.white * h2_norm(one.loop(replace(car, performance=dict.fromkeys(car.performance, 0.0))))
-        except (DesignError, InputError):
-            break
-        ride /= math.sqrt(len(points))
-        change, last = last - ride, min(ride, last)
-        if change < ENOUGH * last:
-            break
-    return last - 2 * change if 0 < last - 2 * change < math.inf else None

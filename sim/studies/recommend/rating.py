@@ -9,7 +9,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.linear import LinearLaw
 from sim.studies.recommend import GOALS
 from sim.studies.recommend.task import ROADS, WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
@@ -18,6 +17,7 @@ from sim.studies.ride.scores import score_of
 from synth.controller.controller import Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_of import loop_of
+from synth.controller.stability_margins import bilinear
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
@@ -111,12 +111,8 @@ def _margins(loop: Loop, most: float, rough: bool) -> tuple[float, float]:
             gain = min(gain, low)
     if rough:
         return gain, _disk_by_sweep(cut)
-    inside = 1 - NEARLY if loop.period else 1.0  # a pole at z = -1 has no counterpart; Tustin keeps the largest gain
-    try:
-        law = LinearLaw(inside * cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()
-    except InputError:
-        return gain, 0.0
-    return gain, disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size
+    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut  # a pole at z = -1 has no image
+    return gain, disk_margin(bilinear(cut) if loop.period else cut).size
 
 
 def _disk_by_sweep(cut: StateSpace) -> float:

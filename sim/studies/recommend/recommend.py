@@ -16,10 +16,11 @@ from models.roads.road import Road, track_width
 from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend import GOALS
+from sim.studies.recommend.bound import lower_bound
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
-from sim.studies.recommend.optimal import certified, lower_bound
-from sim.studies.recommend.rating import Rating, rate_expected
+from sim.studies.recommend.optimal import certified
+from sim.studies.recommend.rating import Rating, margins_of, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import SPEED, Contender, Task
@@ -28,9 +29,9 @@ from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
-HOPE = 1.1  # times the best value; a candidate with more that uses little of its limits is not searched again
+HOPE = 1.1  # times the best value; an active candidate with more is not searched again
 CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
-OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
+OF_SEARCH, OF_DRIVES = 0.45, 0.6  # share of the time until the end of the first searches, and of the file's controllers
 Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
 
 
@@ -100,33 +101,40 @@ class _Work:
         self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
         planned = [family.evaluations for family, _ in families(task)]
         for i, (family, groups) in enumerate(families(task)):
-            self._share = sum(planned[:i]) / sum(planned)
+            self._share = OF_SEARCH * sum(planned[:i]) / sum(planned)
             self._progress(family.name)
             family.search(task)
             best = family.best(task)
             if best is None:
-                self.left_out[family.name] = family.failure
+                self.left_out[family.name] = family.failure.split(":")[0]
                 continue
             searched.append(family)
             self.expected[best[0]] = best[1]
             self.sensors |= {groups: best[1].penalised(task)} if groups else {}
+        self._share = OF_SEARCH
         self._own()
+        self._share = OF_DRIVES
         for candidate in semi_active(task):
             self.expected[candidate] = None
-        if not task.vehicle.dampers:
-            self.bound = lower_bound(task)
+        if not task.vehicle.dampers and task.random:
+            bound = lower_bound(task)
+            if isinstance(bound, float):
+                self.bound = bound
+            else:
+                self.left_out["lower bound"] = bound
         self._drive()
         for _ in range(ROUNDS):
             for family in searched:
                 self._repeat(family)
             self._drive()
+            self._share = (1 + self._share) / 2
         self._certify()
 
     def _progress(self, text: str) -> None:
         known = [one.penalised(self.task) for one in self.expected.values() if one is not None]
         best = f", best {self.task.goal} {brief(min(known))}" if known else ""
         seconds = time.monotonic() - self._start
-        left = f"{round(seconds * (OF_RUNS / self._share - 1), -1):g} s left, " if self._share > 0 else ""
+        left = f"{round(seconds * (1 / self._share - 1), -1):g} s left, " if self._share > 0 else ""
         self._show(f"{left}{text}{best}")
 
     def _add(self, one: Contender) -> None:
@@ -167,7 +175,8 @@ class _Work:
         linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
         held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
         most = max((there[name] for name in held), default=1.0)
-        if not held or SLACK <= most <= 1 or self.driven[last].value(task) > (1.0 if most > 1 else HOPE) * self._least():
+        hopeless = last.controller.acts and self.driven[last].value(task) > HOPE * self._least()
+        if not held or SLACK <= most <= 1 or hopeless:
             return
         for name in held:
             factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
@@ -204,9 +213,17 @@ class _Work:
             best.setdefault(row.candidate.name, row)
         return list(best.values())
 
+    def _exact(self, row: RankedContender) -> RankedContender:
+        """Returns a row with its whole margins, which a search knows only near the limits."""
+        one = row.candidate.controller
+        if row.driven or one.linear is not True:
+            return row
+        gain, disk = margins_of(self.task, one)
+        return replace(row, rating=replace(row.rating, usage=row.rating.usage._replace(gain_margin=gain, disk=disk)))
+
     def result(self, interrupted: bool = False) -> Recommendation:
         """Returns the recommendation so far."""
-        rows, left, task = self.rows(), dict(self.left_out), self.task
+        rows, left, task = [self._exact(row) for row in self.rows()], dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
         left |= {one.name: "a run breaks off in MuJoCo" for one in self.driven if one.name not in named}
         if not {*task.line.linear_model.states} <= {*task.sensors}:

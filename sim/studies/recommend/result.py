@@ -199,7 +199,7 @@ def describe(result: Recommendation) -> Document:
         floor = about(unit * math.floor(result.bound / unit))
         texts.append(
             f"In linear analysis without limits, no controller has an expected ride below {floor} m/s² (LQG over the same "
-            "sensors). This is for active laws only."
+            "sensors, with sample period, delay and hold). This is for active laws only."
         )
     whole = result.sensors.get(tuple(known), math.nan)
     if len(result.sensors) > 1:
@@ -208,7 +208,8 @@ def describe(result: Recommendation) -> Document:
             + f" ({CHANGE.text(value / whole - 1)})" * (len(groups) < len(known))
             for groups, value in result.sensors.items()
         ]
-        texts.append(f"Expected {WORDS[task.goal]} of the best LQG by its sensors: {', '.join(each)} {column.unit}.")
+        usual = "" if task.random else " on class C"
+        texts.append(f"Expected {WORDS[task.goal]}{usual} of the best LQG by its sensors: {', '.join(each)} {column.unit}.")
     kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
     reserve = f" Reserve for other roads: {SHARE.text(kept)} of stroke and force, {SHARE.text(lift)} of the time off the ground."
     texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
