@@ -14,9 +14,9 @@ from models.roads.choice import choose_road
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.command.study import main as study_command
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.recommend.bound import lower_bound
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import body_sensors, changed_passive, semi_active, skyhook
-from sim.studies.recommend.bound import least_rms, lower_bound
 from sim.studies.recommend.optimal import USUAL, certified, design, searched, uncertified
 from sim.studies.recommend.rating import margins_of, rate_expected
 from sim.studies.recommend.recommend import recommendation
