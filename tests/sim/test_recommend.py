@@ -349,6 +349,21 @@ def test_the_van(van, tmp_path):
     assert all(share <= 1.02 for share in van.within.used(unseen.usage).values())
 
 
+def test_interrupted_search(van, tmp_path):
+    """Ctrl-C within a search ends with what it has, also of the family in work, and nothing is driven or saved."""
+
+    def stop(text: str) -> None:
+        if "skyhook" in text:
+            raise KeyboardInterrupt
+
+    result = recommendation(dataclasses.replace(van, effort=0.02), stop)
+    assert result.interrupted
+    assert {row.candidate.name for row in result.rows} == {"passive", "best damper", "damper, spring"}
+    assert not any(row.driven for row in result.rows)
+    with refused("--save has nothing to write"):
+        save(tmp_path / "saved.toml", result)
+
+
 @pytest.mark.attack
 def test_interrupted_while_runs_are_driven(van):
     """Ctrl-C while threads drive MuJoCo ends with the candidates so far, and two searches of the same effort have the same."""

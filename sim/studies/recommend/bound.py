@@ -7,8 +7,8 @@ Automatic Control 23, 395-404):
     exp(h [[-F', 1, 0], [0, -F', Q], [0, 0, F]]) = [[., ., M], [., ., N], [., ., Phi]],
     integral of exp(F' s) Q exp(F s) over h = Phi' N,    its integral over h = Phi' M.
 
-The state of the discrete problem is x and the forces that still act. With X and P the solutions of both Riccati equations, P_f
-the covariance behind a reading, W that of the period's noise, and K the gain of the regulator, the least cost of a period is
+The state of the discrete problem is x and the forces that still act. The Riccati equations have the solutions X and P. P_f is the
+covariance behind a reading, W that of the period's noise, and K the regulator's gain. The least cost of a period is
 
     tr X W + tr K' (R + B' X B) K P_f + the cost of noise within the period
 

@@ -102,15 +102,8 @@ class _Work:
         planned = [family.evaluations for family, _ in families(task)]
         for i, (family, groups) in enumerate(families(task)):
             self._share = OF_SEARCH * sum(planned[:i]) / sum(planned)
-            self._progress(family.name)
-            family.search(task)
-            best = family.best(task)
-            if best is None:
-                self.left_out[family.name] = family.failure.split(":")[0]
-                continue
+            self._search(family, groups)
             searched.append(family)
-            self.expected[best[0]] = best[1]
-            self.sensors |= {groups: best[1].penalised(task)} if groups else {}
         self._share = OF_SEARCH
         self._own()
         self._share = OF_DRIVES
@@ -118,10 +111,8 @@ class _Work:
             self.expected[candidate] = None
         if not task.vehicle.dampers and task.random:
             bound = lower_bound(task)
-            if isinstance(bound, float):
-                self.bound = bound
-            else:
-                self.left_out["lower bound"] = bound
+            self.bound, why = (None, bound) if isinstance(bound, str) else (bound, "")
+            self.left_out |= {"lower bound": why} if why else {}
         self._drive()
         for _ in range(ROUNDS):
             for family in searched:
@@ -136,6 +127,19 @@ class _Work:
         seconds = time.monotonic() - self._start
         left = f"{round(seconds * (1 / self._share - 1), -1):g} s left, " if self._share > 0 else ""
         self._show(f"{left}{text}{best}")
+
+    def _search(self, family: Family, groups: tuple[str, ...] = (), again: str = "") -> None:
+        """Searches a family and adds its best candidate, after Ctrl-C the best so far."""
+        self._progress(f"{family.name}{again}")
+        try:
+            family.search(self.task)
+        finally:
+            best = family.best(self.task)
+            if best is None:
+                self.left_out[family.name] = family.failure.split(":")[0]
+            elif best[0] not in self.expected:
+                self.expected[best[0]] = best[1]
+                self.sensors |= {groups: best[1].penalised(self.task)} if groups else {}
 
     def _add(self, one: Contender) -> None:
         """Adds a candidate; one with an unstable implemented loop is left out."""
@@ -175,22 +179,15 @@ class _Work:
         linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
         held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
         most = max((there[name] for name in held), default=1.0)
-        hopeless = last.controller.acts and self.driven[last].value(task) > HOPE * self._least()
+        least = min((row.rating.value(task) for row in self.rows() if row.keeps and row.driven), default=math.inf)
+        hopeless = last.controller.acts and self.driven[last].value(task) > HOPE * least
         if not held or SLACK <= most <= 1 or hopeless:
             return
         for name in held:
             factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
             factor = max(factor, TIGHTER) if there[name] > 1 else factor  # a clipped force has no larger peak
             family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / LEAST)
-        self._progress(f"{family.name} again")
-        family.search(task)
-        best = family.best(task)
-        if best is not None and best[0] not in self.expected:
-            self.expected[best[0]] = best[1]
-
-    def _least(self) -> float:
-        """Returns the least value of the goal within the limits; infinite without any."""
-        return min((row.rating.value(self.task) for row in self.rows() if row.keeps and row.driven), default=math.inf)
+        self._search(family, again=" again")
 
     def _certify(self) -> None:
         """Gives the best candidate of each family its certificate."""
