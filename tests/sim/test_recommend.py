@@ -13,6 +13,7 @@ from scipy import linalg
 
 from models.common.toml_edit import section_lines
 from models.laws.linear import LinearLaw
+from models.laws.preview import RoadPreview
 from models.roads.choice import choose_road
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.command.study import main as study_command
@@ -289,6 +290,19 @@ def test_saved_file_in_another_folder(van, rated, tmp_path):
     own = read_vehicle(tmp_path / "car" / "van.toml")
     save(tmp_path / "saved.toml", result_of(dataclasses.replace(van, vehicle=own), rated))
     assert read_vehicle(tmp_path / "saved.toml").curves["suspension_damping"](np.array([0.5])) == pytest.approx([2000])
+
+
+def test_next_best_is_saved_for_preview(van, rated, tmp_path):
+    """A controller with preview cannot be in a file: the best of the others is written instead."""
+    (lqg, rating), ahead = rated["LQG"], dict(rated)
+    known = dataclasses.replace(lqg.controller, preview=RoadPreview(0.1, *np.zeros((4, 1, 1))))
+    less = {key: value * 0.9 if key == "ride" else value for key, value in rating.values.items()}
+    ahead["preview"] = dataclasses.replace(lqg, name="preview", controller=known), dataclasses.replace(rating, values=less)
+    result = result_of(van, ahead)
+    assert result.best is not None
+    assert result.best.candidate.name == "preview"
+    save(tmp_path / "saved.toml", result)
+    assert "# Best ride: `LQG`" in (tmp_path / "saved.toml").read_text(encoding="utf-8")
 
 
 def test_nothing_to_save(van, rated, tmp_path):

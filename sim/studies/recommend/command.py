@@ -99,7 +99,7 @@ examples:
         road.check(vehicle, sample_times(vehicle, LONGEST_RUN, options.timestep))
         progress(self.stages[0])
         result = recommendation(task, progress)
-        if options.save is not None and not result.interrupted and result.best is not None:
+        if options.save is not None and not result.interrupted and result.saved is not None:
             save(options.save, result)
         return result
 
@@ -120,7 +120,10 @@ examples:
         from models.document.outputs import written_lines
         from models.document.text import text_lines
 
-        written = written_lines({"save": None if result.interrupted or result.best is None else request.options.save})
+        saved = None if result.interrupted or request.options.save is None else result.saved
+        written = written_lines({"save": saved and request.options.save})
+        if saved is not None and saved is not result.best:
+            written.append(f"The file contains {saved.candidate.name}: the best controller needs the road ahead, or Python.")
         title = title_lines(self.title(request, result), result.task.vehicle.source)
         return [*title, *text_lines(self.describe(request, result)), *written]
 

@@ -24,7 +24,7 @@ from sim.studies.recommend.rating import Rating, margins_of, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import SPEED, Contender, Task
-from sim.studies.recommend.within import Within, read_within
+from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
@@ -179,14 +179,15 @@ class _Work:
         linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
         held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
         most = max((there[name] for name in held), default=1.0)
-        least = min((row.rating.value(task) for row in self.rows() if row.keeps and row.driven), default=math.inf)
-        hopeless = last.controller.acts and self.driven[last].value(task) > HOPE * least
+        value = min((row.rating.value(task) for row in self.rows() if row.keeps and row.driven), default=math.inf)
+        hopeless = last.controller.acts and self.driven[last].value(task) > HOPE * value
         if not held or SLACK <= most <= 1 or hopeless:
             return
         for name in held:
-            factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
+            least = LEAST ** (TAIL if name == "lift" else 1)
+            factor = max(TIGHTER * there[name] / linear[name], least) if linear[name] else 1.0
             factor = max(factor, TIGHTER) if there[name] > 1 else factor  # a clipped force has no larger peak
-            family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / LEAST)
+            family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / least)
         self._search(family, again=" again")
 
     def _certify(self) -> None:
