@@ -14,7 +14,7 @@ from sim.__main__ import COMMANDS, VERBS
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from tests.commands.golden import CASES, golden
-from tests.support.commands import attacks, main_of, prose
+from tests.support.commands import attacks, in_the_suite, main_of, prose
 from tests.support.pages import page
 
 ROOT = Path(__file__).parents[2]
@@ -149,7 +149,7 @@ def texts(found: object) -> set[str]:
     return {found} if isinstance(found, str) else set()
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", in_the_suite({*CASES} - {"sim recommend"}, CASES))
 def test_files(name):
     """JSON names each file that a golden run wrote."""
     run = golden(name, "plain")

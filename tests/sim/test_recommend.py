@@ -3,20 +3,25 @@
 import dataclasses
 import json
 import math
+import signal
+import threading
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from models.common.toml_edit import section_lines
 from models.laws.linear import LinearLaw
+from models.laws.preview import RoadPreview
 from models.roads.choice import choose_road
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.command.study import main as study_command
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.recommend.bound import least_rms, lower_bound
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import body_sensors, changed_passive, semi_active, skyhook
-from sim.studies.recommend.optimal import USUAL, certified, design, lower_bound, searched, uncertified
+from sim.studies.recommend.optimal import USUAL, certified, design, searched, uncertified
 from sim.studies.recommend.rating import margins_of, rate_expected
 from sim.studies.recommend.recommend import recommendation
 from sim.studies.recommend.result import RankedContender, Recommendation, describe, record
@@ -26,7 +31,9 @@ from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage, Within, read_within
 from sim.studies.ride.expected import expect
 from sim.studies.ride.scores import strokes_used
+from synth import GeneralizedPlant, lqg_design
 from synth.controller.law_margins import law_margins
+from synth.plant.loop import hold_intervals
 from synth.vehicle.designer import Designer
 from tests.support.commands import refused
 
@@ -60,6 +67,14 @@ B = [[1.0]]
 C = [[-1500.0]]
 D = [[0.0]]
 """
+OSCILLATOR = {
+    "A": [[0, 1], [-4, -0.1]],
+    "B": [[0], [1]],
+    "Bw": [[0], [1]],
+    "C": [[1, 0], [0, 0]],
+    "D": [[0], [0.1]],
+    "Dw": [[0], [0]],
+}
 UNSEEN = range(100, 120)  # seeds that the search does not drive
 
 
@@ -187,9 +202,46 @@ def test_another_damper_changes_the_curve(van):
 
 def test_lower_bound_is_below_every_candidate(van, rated):
     """No candidate has a better ride than the bound."""
-    bound = lower_bound(van)
-    assert bound is not None
+    bound: Any = lower_bound(van)
     assert 0 < bound < min(rating.value(van) for _, rating in rated.values())
+
+
+def test_lower_bound_comes_to_the_continuous_one():
+    """The bound of a short period is that of continuous LQG with the same noise, and delay raises it."""
+    oscillator = GeneralizedPlant(**OSCILLATOR).measured([[0, 1]])
+    ideal = lqg_design(oscillator, noise=[0.01]).h2_norm
+
+    def least(period, delay):
+        return least_rms(oscillator, hold_intervals(period, delay), [0.01 / math.sqrt(period)])
+
+    assert ideal < least(1e-4, 0) < ideal * (1 + 1e-5)  # the difference is of second order in the period
+    assert ideal < least(0.1, 0) < least(0.1, 0.5) < least(0.1, 1) < least(0.1, 2)
+
+
+@pytest.mark.parametrize("delay", [0, 0.4, 1])
+def test_no_gain_is_below_the_lower_bound(delay):
+    """Held gains on a sensor without noise have at least the bound, by covariances over small steps; at once, one is near it."""
+    plant, period, steps = GeneralizedPlant(**OSCILLATOR).measured([[0, 1]]), 0.5, 100
+    parts, rms, unit = hold_intervals(period, delay), list[float](), np.eye(5)
+    F = np.block([[plant.A, plant.B], [np.zeros((1, 3))]])
+    move, noise = linalg.block_diag(linalg.expm(F * period / steps), np.eye(2)), np.diag([0.0, period / steps, 0.0, 0.0, 0.0])
+    output = np.hstack([plant.C, plant.D, np.zeros((2, 2))])
+    for gain in np.linspace(-2.0, 0.5, 11):
+        # The state is x, the acting force, and the last two that were computed.
+        whole, spread, cost, size = np.vstack([unit[:3], gain * unit[1], unit[3]]), np.zeros((5, 5)), 0.0 * unit, 0.0
+        for part in parts:
+            change = np.vstack([unit[:2], unit[3 + part.delay_samples], unit[3:]])
+            whole, spread = change @ whole, change @ spread @ change.T
+            for _ in range(round(part.duration / period * steps)):
+                whole, spread = move @ whole, move @ spread @ move.T + noise
+                cost += whole.T @ output.T @ output @ whole / steps
+                size += float(np.trace(output @ spread @ output.T)) / steps
+        if np.abs(np.linalg.eigvals(whole)).max() < 1:
+            rms.append(math.sqrt(float(np.trace(cost @ linalg.solve_discrete_lyapunov(whole, spread))) + size))
+    bound = least_rms(plant, parts, [1e-6])
+    assert len(rms) > 3
+    assert bound < min(rms)
+    assert delay or min(rms) < 1.2 * bound
 
 
 def test_sensors_are_those_of_the_file(van):
@@ -206,7 +258,7 @@ def test_sensors_are_those_of_the_file(van):
 def test_families_of_a_task(van):
     """Families with sensors that a file lacks are not searched, and semi-active laws need adjustable dampers."""
     names = [family.name for family, _ in families(van)]
-    assert {"best damper", "skyhook", "LQG", "LQG, a", "LQG, b", "H-infinity"} <= {*names}
+    assert {"best damper", "skyhook", "LQG", "LQG, a", "LQG, b", "H-infinity", "H-inf., 2 states", "H-inf., static"} <= {*names}
     assert "preview" not in names
     assert not semi_active(van)
     adjustable = task_of(read_vehicle("quarter_car_semi_active"), 20.0)
@@ -238,6 +290,19 @@ def test_saved_file_in_another_folder(van, rated, tmp_path):
     own = read_vehicle(tmp_path / "car" / "van.toml")
     save(tmp_path / "saved.toml", result_of(dataclasses.replace(van, vehicle=own), rated))
     assert read_vehicle(tmp_path / "saved.toml").curves["suspension_damping"](np.array([0.5])) == pytest.approx([2000])
+
+
+def test_next_best_is_saved_for_preview(van, rated, tmp_path):
+    """A controller with preview cannot be in a file: the best of the others is written instead."""
+    (lqg, rating), ahead = rated["LQG"], dict(rated)
+    known = dataclasses.replace(lqg.controller, preview=RoadPreview(0.1, *np.zeros((4, 1, 1))))
+    less = {key: value * 0.9 if key == "ride" else value for key, value in rating.values.items()}
+    ahead["preview"] = dataclasses.replace(lqg, name="preview", controller=known), dataclasses.replace(rating, values=less)
+    result = result_of(van, ahead)
+    assert result.best is not None
+    assert result.best.candidate.name == "preview"
+    save(tmp_path / "saved.toml", result)
+    assert "# Best ride: `LQG`" in (tmp_path / "saved.toml").read_text(encoding="utf-8")
 
 
 def test_nothing_to_save(van, rated, tmp_path):
@@ -283,19 +348,67 @@ def test_command_refuses_bad_options(tmp_path):
 
 
 @pytest.mark.attack
-def test_the_van(van):
+def test_the_van(van, tmp_path):
     """The best controller has a ride 7 % below passive within all limits, and keeps them on roads that no search has seen."""
-    result: Any = recommendation(van, lambda text: None)
+    task = dataclasses.replace(van, effort=0.25)
+    result: Any = recommendation(task, lambda text: None)
     best, passive = result.best, result.passive
     assert best.rating.value(van) < 0.93 * passive.rating.value(van)
     assert best.rating.usage.disk >= 0.3
     assert best.rating.usage.stroke <= 0.95
     assert best.proved
+    assert best.rating.value(van) > result.bound
     assert all(row.candidate.name != "best (file)" or not row.keeps or best is not row for row in result.rows)
     [unseen] = drive_candidates(van, [best.candidate], lambda text: None, [*UNSEEN])
     assert all(share <= 1.02 for share in van.within.used(unseen.usage).values())
-    names = [row.candidate.name for row in result.rows]
-    assert names == [row.candidate.name for row in recommendation(van, lambda text: None).rows]
+
+
+def test_interrupted_search(van, tmp_path):
+    """Ctrl-C within a search ends with what it has, also of the family in work, and nothing is driven or saved."""
+
+    def stop(text: str) -> None:
+        if "skyhook" in text:
+            raise KeyboardInterrupt
+
+    result = recommendation(dataclasses.replace(van, effort=0.02), stop)
+    assert result.interrupted
+    assert {row.candidate.name for row in result.rows} == {"passive", "best damper", "damper, spring"}
+    assert not any(row.driven for row in result.rows)
+    with refused("--save has nothing to write"):
+        save(tmp_path / "saved.toml", result)
+
+
+@pytest.mark.attack
+def test_interrupted_while_runs_are_driven(van):
+    """Ctrl-C while threads drive MuJoCo ends with the candidates so far, and two searches of the same effort have the same."""
+    task = dataclasses.replace(van, effort=0.02, timestep=4e-3)
+
+    def stop(text: str) -> None:
+        if "driven" in text:
+            threading.Timer(0.3, lambda: signal.raise_signal(signal.SIGINT)).start()
+
+    first, second = (recommendation(task, stop) for _ in range(2))
+    assert first.interrupted
+    assert not any(row.driven for row in first.rows)
+    assert {"passive", "skyhook", "LQG", "H-infinity", "best (file)"} <= {row.candidate.name for row in first.rows}
+    assert record(first) == record(second)
+    assert "the candidates so far" in describe(first).statements[-1].text
+
+
+@pytest.mark.parametrize(("goal", "road"), [("holding", "bump"), ("travel", "iso8608:class=C")])
+def test_goals_and_roads_without_a_spectrum(van, goal, road):
+    """Another goal fixes its own weight, and a road without a spectrum is driven whole once, after designs for class C."""
+    car = task_of(van.vehicle, road=road, goal=goal)
+    weights = {name: USUAL[name] for name in searched(car)}
+    assert ("tyre" if goal == "holding" else "travel") not in weights
+    one = Contender("LQG", design(car, "LQG", car.sensors, weights), car.vehicle)
+    expected = rate_expected(car, one)
+    assert expected is not None
+    assert expected.value(car) == expected.values["dynamic_load" if goal == "holding" else "peak_travel"]
+    if road == "bump":
+        assert not car.random
+        [driven] = drive_candidates(dataclasses.replace(car, timestep=4e-3), [one], lambda text: None)
+        assert 0 < driven.usage.stroke < 2
 
 
 def test_section_lines_of_a_semi_active_law():

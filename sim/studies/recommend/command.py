@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from models.document.document import Document
     from sim.studies.recommend.result import Recommendation
 
+QUICK = 0.1  # of the usual number of candidates
 LONGEST_RUN = 16.0  # s, over which a random road does not repeat
 
 
@@ -66,6 +67,7 @@ examples:
         parser.add_argument(
             "--save", type=Path, metavar="FILE", help="write the vehicle file with the best controller as [controllers.best]"
         )
+        parser.add_argument("--quick", action="store_true", help="search a tenth of the candidates")
         parser.add_number("--timestep", 1e-3, "s", "integration step of MuJoCo")
         parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -92,11 +94,12 @@ examples:
         check_outputs({"save": options.save}, [*vehicle.files, *named_files((options.road,))], options.json)
         text = options.road or f"iso8608:class={(options.road_class or 'C').upper()}"
         road = FEATURES.load("roads by name").choose_road(text).build(vehicle, options.speed, 0, options.speed * LONGEST_RUN)
-        task = Task(vehicle, road, options.goal, read_within(options.within or ""), options.timestep)
+        limits, effort = read_within(options.within or ""), QUICK if options.quick else 1.0
+        task = Task(vehicle, road, options.goal, limits, options.timestep, effort)
         road.check(vehicle, sample_times(vehicle, LONGEST_RUN, options.timestep))
         progress(self.stages[0])
         result = recommendation(task, progress)
-        if options.save is not None and not result.interrupted and result.best is not None:
+        if options.save is not None and not result.interrupted and result.saved is not None:
             save(options.save, result)
         return result
 
@@ -117,7 +120,10 @@ examples:
         from models.document.outputs import written_lines
         from models.document.text import text_lines
 
-        written = written_lines({"save": None if result.interrupted or result.best is None else request.options.save})
+        saved = None if result.interrupted or request.options.save is None else result.saved
+        written = written_lines({"save": saved and request.options.save})
+        if saved is not None and saved is not result.best:
+            written.append(f"The file contains {saved.candidate.name}: the best controller needs the road ahead, or Python.")
         title = title_lines(self.title(request, result), result.task.vehicle.source)
         return [*title, *text_lines(self.describe(request, result)), *written]
 

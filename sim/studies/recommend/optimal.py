@@ -14,17 +14,23 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.errors import InputError
-from models.laws.design_methods import FULL
-from models.laws.design_request import DesignRequest
+from models.common.extensions import METHODS
+from models.laws.design_request import DesignRequest, LawStructure
 from models.laws.filter import WEIGHTINGS, Filter
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry, DesignConditions
 from models.vehicle.performance import WeightedSum
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.task import Task
+from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller, on_readings
-from synth.controller.problem import problem
-from synth.design.full_order.quadratic import h2_norm, lqg_law
+from synth.controller.problem import Problem, problem
+from synth.design.descent.landscape import Work
+from synth.design.fixed_order.reduction import reductions
+from synth.design.full_order.quadratic import lqg_law
+from synth.design.full_order.riccati import RiccatiSearch
+from synth.design.problem import DesignProblem, quiet
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 
@@ -39,8 +45,12 @@ USUAL: Mapping[str, float] = {
     "noise": 0.0,
 }  # powers of e
 FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # weight that a goal fixes at 1
-NEARLY_NONE, ENOUGH = -9.0, 5e-3  # power of e of weights that keep a problem regular; relative change of a bound that is small
 Weights = Mapping[str, float]
+# H-infinity adds noise and cost, a share of the plant's own size, so that its Riccati equations have a solution. A larger share
+# has larger margins.
+SHARE, SHARES = "share", (-1.0, 2.0)  # name; power of ten at 0, and how much it falls for each
+LEVELS, CLOSE, ABOVE = 24, 1.2, 1.1  # of the bisection for the least level; ratio at which it ends; level of the law over it
+NORMS = 200  # computed norms of a descent to a law of fewer states
 
 
 def searched(task: Task) -> list[str]:
@@ -71,30 +81,67 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
 
 
 def design(
-    task: Task, name: str, measured: Sequence[str], weights: Weights, method: str = LQG, preview: float = 0.0
+    task: Task, name: str, measured: Sequence[str], weights: Weights, method: str | int = LQG, preview: float = 0.0
 ) -> Controller:
     """Returns the controller of a method for these weights.
 
     Args:
-        method: `LQG`, "full" (H-infinity of full order), "" (the two steps), or "preview".
+        weights: also the `SHARE` of H-infinity.
+        method: `LQG`, "full" (H-infinity of full order), "" (the two steps), a number of states, or "preview".
         preview: time by which the road is known ahead [s].
 
     Raises:
         DesignError, InputError: there is no such controller.
     """
     car = weighted_vehicle(task, weights)
+    bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
     if preview:  # it measures all states, and no sensor measures those of a filter
         car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
-    bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
+        request = DesignRequest(design=method, preview=preview)
+        entry = ControllerEntry(name, tuple(measured), request, hardware=DesignConditions(bandwidth=bandwidth))
+        return replace(Designer(replace(car, controllers={name: entry}), search=False).design(name), hardware=own_hardware(task))
     loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
     noise = tuple((math.exp(weights["noise"]) * task.noise_of(measured)).tolist())
+    disturbed = DesignConditions(() if method == LQG else noise, bandwidth, loads)
+    posed = problem(car, measured, disturbed if method else DesignConditions(bandwidth=bandwidth))
+    law = _law(posed, method, [noise[i] for i in posed.state_measurements], weights.get(SHARE, 0.0))
+    return uncertified(task, name, measured, on_readings(law, posed))
+
+
+def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float) -> LinearLaw:
+    """Returns the law on the measurements that contain states; arguments as for `design`."""
+    plant, given = posed.of_states, DesignProblem(posed.of_states, lower_bound=LowerBound(0.0), alternatives=False)
     if method == LQG:
-        posed = problem(car, measured, DesignConditions(bandwidth=bandwidth, loads=loads))
-        law = lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements])
-        return uncertified(task, name, measured, on_readings(law, posed))
-    conditions = DesignConditions(noise, bandwidth, loads) if method == FULL else DesignConditions(bandwidth=bandwidth)
-    entry = ControllerEntry(name, tuple(measured), DesignRequest(design=method, preview=preview), hardware=conditions)
-    return replace(Designer(replace(car, controllers={name: entry}), search=False).design(name), hardware=own_hardware(task))
+        return lqg_law(plant, noise)
+    if method == "":
+        return METHODS.load("two_steps")(given, quiet).law
+    full = _central(plant, 10.0 ** (SHARES[0] - SHARES[1] * share))
+    if not isinstance(method, int):
+        return full
+    start = replace(given, structure=LawStructure(method), known=[*reductions(plant, full, method)], work=Work(NORMS))
+    return METHODS.load("structured")(start, quiet).law
+
+
+def _central(plant: Plant, share: float) -> LinearLaw:
+    """Returns the central law a little above the least level at which the problem with a share of noise and cost has one.
+
+    Raises:
+        DesignError: there is no such level.
+    """
+    search, low, high, level = RiccatiSearch(plant, 0.0), 0.0, math.inf, 1.0
+    for _ in range(LEVELS):
+        try:
+            search.law(share, level)
+            high = level
+        except InputError:
+            low = level
+        if high < CLOSE * low:
+            break
+        level = high / 4 if not low else 4 * low if math.isinf(high) else math.sqrt(low * high)
+    point = search.traded(share, ABOVE * high) if math.isfinite(high) else None
+    if point is None:
+        raise DesignError("its Riccati equations have no solution")
+    return point.law
 
 
 def own_hardware(task: Task) -> DesignConditions:
@@ -114,28 +161,3 @@ def certified(task: Task, one: Controller) -> Controller:
     """Returns a controller with its certificate for the weights of the vehicle file."""
     designer = Designer(task.vehicle.with_force_actuators if task.vehicle.dampers else task.vehicle, search=False)
     return replace(designer.certify(one.name, one.measured, one.law, own_hardware(task)), designed=True)
-
-
-def lower_bound(task: Task) -> float | None:
-    """Returns the expected ride that no controller of the same sensors falls below without limits [m/s2]; None if unknown.
-
-    LQG has the least mean square of all controllers. Its cost of force falls until the ride falls by less than `ENOUGH`; the
-    bound is lower by twice the last change. The worst of several points is at least their root mean square.
-    """
-    last, change, points = math.inf, math.inf, task.line.ride_points.worst_of
-    lag, noise = task.pushed.limits.actuator_bandwidth, tuple(task.noise_of(task.sensors).tolist())
-    conditions = DesignConditions(noise, lag)
-    for force in np.arange(-3.0, -12.0, -1.5):
-        car = weighted_vehicle(task, {"travel": NEARLY_NONE, "tyre": NEARLY_NONE, "force": float(force)}, delayed=False)
-        posed = problem(car, task.sensors, DesignConditions(bandwidth=lag))
-        try:
-            law = on_readings(lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements]), posed)
-            one = replace(uncertified(task, "bound", task.sensors, law), hardware=conditions)
-            ride = task.white * h2_norm(one.loop(replace(car, performance=dict.fromkeys(car.performance, 0.0))))
-        except (DesignError, InputError):
-            break
-        ride /= math.sqrt(len(points))
-        change, last = last - ride, min(ride, last)
-        if change < ENOUGH * last:
-            break
-    return last - 2 * change if 0 < last - 2 * change < math.inf else None

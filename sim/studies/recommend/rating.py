@@ -9,8 +9,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.linear import LinearLaw
-from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend import GOALS
 from sim.studies.recommend.task import ROADS, WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
@@ -18,11 +16,14 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.scores import score_of
 from synth.controller.controller import Controller
 from synth.controller.disk_margin import disk_margin
-from synth.controller.loop_of import loop_of, radius
+from synth.controller.loop_of import loop_of
+from synth.controller.stability_margins import bilinear
+from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-FACTORS, HALVINGS = np.geomspace(1.0, MOST_GAIN, 33)[1:], 6
+GRID, HALVINGS, BEYOND = 0.144, 6, 1.1  # step of the gains in powers of e; halvings of it; power of a limit
 NEARLY = 1e-6
+SWEEP = (0.3, 3e3, 200)  # rad/s, and their number
 EXCESS = 4.0  # times the passive value: penalty of a search for a limit that is exceeded by a factor e
 
 
@@ -60,8 +61,6 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
         return None
     changed = candidate.vehicle is not task.vehicle and not one.acts
     car = replace(candidate.vehicle, implementation=candidate.vehicle.implementation.without_noise) if changed else task.line
-    if radius(loop_of(car.linearised, one, task.coarse_step)) >= 1:
-        return None
     expected, usual = expect(car, one, task.spectrum, task.coarse_step, ROADS * WINDOW), task.expected_passive
     if expected is None:
         return None
@@ -73,42 +72,56 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
     force = max(mean[f"{name}_peak"] / most for name, most in task.forces.items())
     values = score_of(task.pushed, candidate.name, mean).values
     lifts = (values.get("off_ground") or 0.0, task.passive_values.get("off_ground") or 0.0)
-    return Rating(values, Usage(stroke, force, *margins_of(task, one), *lifts))
+    return Rating(values, Usage(stroke, force, *margins_of(task, one, rough=True), *lifts))
 
 
-def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
-    """Returns the smaller gain and disk margins of the implemented and the ideal loop, cut at all forces."""
+def margins_of(task: Task, controller: Controller, rough: bool = False) -> tuple[float, float]:
+    """Returns the smaller gain and disk margins of the implemented and the ideal loop, cut at all forces.
+
+    Args:
+        rough: True for a gain margin that is searched only `BEYOND` the limit, and a disk margin at some frequencies.
+    """
     if not controller.acts:
         return MOST_GAIN, 2.0
-    pairs = [_margins(task.line, controller.feedback, task.coarse_step)]
+    most = (task.within.gain_margin or 1.0) ** BEYOND if rough else MOST_GAIN
+    pairs = [_margins(loop_of(task.line, controller.feedback, task.coarse_step), most, rough)]
     with suppress(InputError):  # measurements contain the force at once, and the ideal loop has no solution
-        pairs.append(_margins(task.line, controller.feedback, None))
+        pairs.append(_margins(loop_of(task.line, controller.feedback), most, rough))
     gains, disks = zip(*pairs, strict=True)
     return min(gains), min(disks)
 
 
-def _margins(car: Vehicle, controller: Controller, timestep: float | None) -> tuple[float, float]:
-    loop = loop_of(car, controller, timestep)
-    cut, both = loop.cut(loop.forces), np.concatenate([FACTORS, 1 / FACTORS, [1.0]])
+def _margins(loop: Loop, most: float, rough: bool) -> tuple[float, float]:
+    cut, factors = loop.cut(loop.forces), np.exp(np.arange(0.0, math.log(most) + GRID, GRID))[1:]
 
     def grows(factors: Array) -> Array:
         poles = np.linalg.eigvals(cut.loop_matrix(factors))
         return np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9, axis=-1)
 
-    growing, gain = grows(both), MOST_GAIN
+    growing, gain = grows(np.concatenate([factors, 1 / factors, [1.0]])), most
     if growing[-1]:
         return 1.0, 0.0
     for power, row in zip((1.0, -1.0), growing[:-1].reshape(2, -1), strict=True):
         if row.any():
-            first = int(np.argmax(row))
-            low, high = float(FACTORS[first - 1]) if first else 1.0, float(FACTORS[first])
+            high = float(factors[int(np.argmax(row))])
+            low = high * math.exp(-GRID)
             for _ in range(HALVINGS):
                 middle = math.sqrt(low * high)
                 low, high = (low, middle) if grows(np.array([middle**power]))[0] else (middle, high)
             gain = min(gain, low)
-    inside = 1 - NEARLY if loop.period else 1.0  # a pole at z = -1 has no counterpart; Tustin keeps the largest gain
-    try:
-        law = LinearLaw(inside * cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()
-    except InputError:
-        return gain, 0.0
-    return gain, disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size
+    if rough:
+        return gain, _disk_by_sweep(cut)
+    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut  # a pole at z = -1 has no image
+    return gain, disk_margin(bilinear(cut) if loop.period else cut).size
+
+
+def _disk_by_sweep(cut: StateSpace) -> float:
+    """Returns the disk margin at frequencies of a grid and of the loop's poles, which is at least the true one."""
+    poles, modes = np.linalg.eig(cut.loop_matrix(1.0))
+    rates = np.log(poles[np.abs(poles) > NEARLY].astype(complex)) / cut.dt if cut.dt else poles
+    omega = np.concatenate([np.geomspace(*SWEEP), *(share * np.abs(rates) for share in (0.97, 1.0, 1.03))])
+    inverse = np.linalg.inv(np.eye(len(cut.D)) - cut.D)
+    s = np.exp(1j * np.minimum(omega * cut.dt, np.pi)) if cut.dt else 1j * omega
+    left, right = inverse @ cut.C @ modes, np.linalg.solve(modes, cut.B @ inverse)
+    S = inverse + (left / (s[:, None, None] - poles)) @ right
+    return min(1 / float(np.linalg.svd(S - np.eye(len(cut.D)) / 2, compute_uv=False).max()), 2.0)

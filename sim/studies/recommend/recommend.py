@@ -16,20 +16,22 @@ from models.roads.road import Road, track_width
 from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend import GOALS
+from sim.studies.recommend.bound import lower_bound
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
-from sim.studies.recommend.optimal import certified, lower_bound
-from sim.studies.recommend.rating import Rating, rate_expected
+from sim.studies.recommend.optimal import certified
+from sim.studies.recommend.rating import Rating, margins_of, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import SPEED, Contender, Task
-from sim.studies.recommend.within import Within, read_within
+from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
+HOPE = 1.1  # times the best value; an active candidate with more is not searched again
 CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
-OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
+OF_SEARCH, OF_DRIVES = 0.45, 0.6  # share of the time until the end of the first searches, and of the file's controllers
 Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
 
 
@@ -99,34 +101,45 @@ class _Work:
         self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
         planned = [family.evaluations for family, _ in families(task)]
         for i, (family, groups) in enumerate(families(task)):
-            self._share = sum(planned[:i]) / sum(planned)
-            self._progress(family.name)
-            family.search(task)
-            best = family.best(task)
-            if best is None:
-                self.left_out[family.name] = family.failure
-                continue
+            self._share = OF_SEARCH * sum(planned[:i]) / sum(planned)
+            self._search(family, groups)
             searched.append(family)
-            self.expected[best[0]] = best[1]
-            self.sensors |= {groups: best[1].penalised(task)} if groups else {}
+        self._share = OF_SEARCH
         self._own()
+        self._share = OF_DRIVES
         for candidate in semi_active(task):
             self.expected[candidate] = None
-        if not task.vehicle.dampers:
-            self.bound = lower_bound(task)
+        if not task.vehicle.dampers and task.random:
+            bound = lower_bound(task)
+            self.bound, why = (None, bound) if isinstance(bound, str) else (bound, "")
+            self.left_out |= {"lower bound": why} if why else {}
         self._drive()
         for _ in range(ROUNDS):
             for family in searched:
                 self._repeat(family)
             self._drive()
+            self._share = (1 + self._share) / 2
         self._certify()
 
     def _progress(self, text: str) -> None:
         known = [one.penalised(self.task) for one in self.expected.values() if one is not None]
         best = f", best {self.task.goal} {brief(min(known))}" if known else ""
         seconds = time.monotonic() - self._start
-        left = f"{round(seconds * (OF_RUNS / self._share - 1), -1):g} s left, " if self._share > 0 else ""
+        left = f"{round(seconds * (1 / self._share - 1), -1):g} s left, " if self._share > 0 else ""
         self._show(f"{left}{text}{best}")
+
+    def _search(self, family: Family, groups: tuple[str, ...] = (), again: str = "") -> None:
+        """Searches a family and adds its best candidate, after Ctrl-C the best so far."""
+        self._progress(f"{family.name}{again}")
+        try:
+            family.search(self.task)
+        finally:
+            best = family.best(self.task)
+            if best is None:
+                self.left_out[family.name] = family.failure.split(":")[0]
+            elif best[0] not in self.expected:
+                self.expected[best[0]] = best[1]
+                self.sensors |= {groups: best[1].penalised(self.task)} if groups else {}
 
     def _add(self, one: Contender) -> None:
         """Adds a candidate; one with an unstable implemented loop is left out."""
@@ -165,17 +178,17 @@ class _Work:
         there = task.within.used(self.driven[last].usage, self.reserve)
         linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
         held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
-        if not held or SLACK <= max(there[name] for name in held) <= 1:
+        most = max((there[name] for name in held), default=1.0)
+        value = min((row.rating.value(task) for row in self.rows() if row.keeps and row.driven), default=math.inf)
+        hopeless = last.controller.acts and self.driven[last].value(task) > HOPE * value
+        if not held or SLACK <= most <= 1 or hopeless:
             return
         for name in held:
-            factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
+            least = LEAST ** (TAIL if name == "lift" else 1)
+            factor = max(TIGHTER * there[name] / linear[name], least) if linear[name] else 1.0
             factor = max(factor, TIGHTER) if there[name] > 1 else factor  # a clipped force has no larger peak
-            family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / LEAST)
-        self._progress(f"{family.name} again")
-        family.search(task)
-        best = family.best(task)
-        if best is not None and best[0] not in self.expected:
-            self.expected[best[0]] = best[1]
+            family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / least)
+        self._search(family, again=" again")
 
     def _certify(self) -> None:
         """Gives the best candidate of each family its certificate."""
@@ -198,9 +211,17 @@ class _Work:
             best.setdefault(row.candidate.name, row)
         return list(best.values())
 
+    def _exact(self, row: RankedContender) -> RankedContender:
+        """Returns a row with its whole margins, which a search knows only near the limits."""
+        one = row.candidate.controller
+        if row.driven or one.linear is not True:
+            return row
+        gain, disk = margins_of(self.task, one)
+        return replace(row, rating=replace(row.rating, usage=row.rating.usage._replace(gain_margin=gain, disk=disk)))
+
     def result(self, interrupted: bool = False) -> Recommendation:
         """Returns the recommendation so far."""
-        rows, left, task = self.rows(), dict(self.left_out), self.task
+        rows, left, task = [self._exact(row) for row in self.rows()], dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
         left |= {one.name: "a run breaks off in MuJoCo" for one in self.driven if one.name not in named}
         if not {*task.line.linear_model.states} <= {*task.sensors}:

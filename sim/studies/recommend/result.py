@@ -77,11 +77,22 @@ class Recommendation(ShownResult):
         return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
 
     @property
-    def best(self) -> RankedContender | None:
-        """The best controller that keeps all limits; None if none is better than the passive vehicle."""
+    def better(self) -> list[RankedContender]:
+        """Controllers that keep all limits and are better than the passive vehicle, the best first."""
         least = math.inf if self.passive is None else self.passive.rating.value(self.task)
         acting = (row for row in self.rows if row.keeps and row.candidate.controller.acts)
-        return next((row for row in acting if row.rating.value(self.task) < least), None)
+        return [row for row in acting if row.rating.value(self.task) < least]
+
+    @property
+    def best(self) -> RankedContender | None:
+        """The best controller that keeps all limits; None if none is better than the passive vehicle."""
+        return next(iter(self.better), None)
+
+    @property
+    def saved(self) -> RankedContender | None:
+        """The best of them that a file can contain, which is not one with preview or with a law in Python."""
+        each = ((row, row.candidate.controller) for row in self.better)
+        return next((row for row, one in each if (one.preview is None if one.linear is True else not one.user_code)), None)
 
     @property
     def summary(self) -> Document:
@@ -178,9 +189,9 @@ def legend(result: Recommendation, shown: int) -> str:
     return f"{how}; travel in % of the stroke. {BEST}: recommended; !: exceeds the limit. Sensors: {sensors}.{more}"
 
 
-def verdict(result: Recommendation) -> Statement:
+def verdict(result: Recommendation, best: RankedContender | None) -> Statement:
     """Returns the answer in a sentence."""
-    task, best, what = result.task, result.best, WORDS[result.task.goal]
+    task, what = result.task, WORDS[result.task.goal]
     if best is None:
         return Statement(f"No candidate has a better {what} than the passive vehicle within the limits.", "ends", "brief")
     column, relative = COLUMNS[GOALS[task.goal]], change(result, best)
@@ -199,7 +210,7 @@ def describe(result: Recommendation) -> Document:
         floor = about(unit * math.floor(result.bound / unit))
         texts.append(
             f"In linear analysis without limits, no controller has an expected ride below {floor} m/s² (LQG over the same "
-            "sensors). This is for active laws only."
+            "sensors, with sample period, delay and hold). This is for active laws only."
         )
     whole = result.sensors.get(tuple(known), math.nan)
     if len(result.sensors) > 1:
@@ -208,7 +219,8 @@ def describe(result: Recommendation) -> Document:
             + f" ({CHANGE.text(value / whole - 1)})" * (len(groups) < len(known))
             for groups, value in result.sensors.items()
         ]
-        texts.append(f"Expected {WORDS[task.goal]} of the best LQG by its sensors: {', '.join(each)} {column.unit}.")
+        usual = "" if task.random else " on class C"
+        texts.append(f"Expected {WORDS[task.goal]}{usual} of the best LQG by its sensors: {', '.join(each)} {column.unit}.")
     kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
     reserve = f" Reserve for other roads: {SHARE.text(kept)} of stroke and force, {SHARE.text(lift)} of the time off the ground."
     texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
@@ -217,7 +229,7 @@ def describe(result: Recommendation) -> Document:
     texts += ["The search was interrupted: these are the candidates so far."] if result.interrupted else []
     ranked = table(result)
     texts.insert(0, legend(result, len(ranked.rows)))
-    return Document("", (ranked, Document("", (verdict(result), *notes(*texts)))))
+    return Document("", (ranked, Document("", (verdict(result, result.best), *notes(*texts)))))
 
 
 ROW = Record[RankedContender](

@@ -17,12 +17,13 @@ NAME = "best"
 def save(path: Path, result: Recommendation) -> str:
     """Writes the vehicle file with the recommended controller; returns the name of its section.
 
-    The name is `best`, or has a number if the file has a controller of this name.
+    A controller with preview cannot be in a file, so the next best one is written. The name is `best`, or has a number if the
+    file has a controller of this name.
 
     Raises:
-        InputError: there is no such controller, a file cannot contain it, or the file cannot be written.
+        InputError: there is no such controller, or the file cannot be written.
     """
-    row, vehicle, taken = result.best, result.task.vehicle, result.task.vehicle.controllers
+    row, vehicle, taken = result.saved, result.task.vehicle, result.task.vehicle.controllers
     if row is None:
         raise InputError("--save has nothing to write: no controller is better than the passive vehicle within the limits")
     name = next(one for i in range(1, len(taken) + 2) if (one := NAME if i == 1 else f"{NAME}_{i}") not in taken)
@@ -31,15 +32,13 @@ def save(path: Path, result: Recommendation) -> str:
     used += f", force {SHARE.text(usage.force)} of its limit, disk margin {usage.disk:g}" * row.candidate.pushes
     lines = [
         f"# roadproof recommend, {road_words(result.task)}, within {result.task.within.text}",
-        f"# {verdict(result).text}",
+        f"# {verdict(result, row).text}",
         used,
     ]
-    if one.linear is True and one.preview is None:
+    if one.linear is True:
         lines += controller_section(vehicle, replace(one, name=name), name)
-    elif one.linear is not True and not one.user_code:
-        lines += section_lines(("controllers", name), one.law.record)
     else:
-        raise InputError(f"--save: the best controller is {row.candidate.name}, which a file cannot contain; omit --save")
+        lines += section_lines(("controllers", name), one.law.record)
     text = with_sections(vehicle.text_for(path), lines)
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "save") as beside:

@@ -16,7 +16,7 @@ from models.common.errors import InputError
 from models.common.printed import brief
 from models.laws.design_methods import FULL, PREVIEW
 from sim.studies.recommend.laws import body_sensors, changed_passive, skyhook
-from sim.studies.recommend.optimal import LQG, USUAL, design, searched
+from sim.studies.recommend.optimal import LQG, SHARE, USUAL, Weights, design, searched
 from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.task import Contender, Task
 from synth.plant.numerics import DesignError
@@ -25,6 +25,7 @@ UNSTABLE = 1e3  # value of a point without a stable loop
 STEP, RESTART = 1.0, 0.4  # of the first simplex, and of a repeated search
 LARGE_PLANT, FEWER = 7, 0.4  # states; above, families have this share of evaluations
 MOST_ALONE = 3  # groups of sensors of which each is tried alone
+ORDER = 2  # states for each force of a law of fixed order
 PREVIEW_TIME = 0.2  # s, by which the road is known ahead
 SKYHOOK = (-0.7, 0.4, -4.0)  # start of its search
 LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}  # so that rounding does not decide on margins
@@ -56,6 +57,11 @@ class Family:
         """Returns the best candidate for the present factors; None without any."""
         return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
+    def weights(self, task: Task, names: Sequence[str]) -> dict[str, float]:
+        """Returns the weights of these names of the best candidate, or those of the start."""
+        best = self.best(task)
+        return dict(zip(names, (self.start if best is None else best[2]).tolist(), strict=True))
+
     def search(self, task: Task) -> None:
         """Searches for the present factors; a repeated search begins at the best point."""
         from scipy import optimize
@@ -76,23 +82,31 @@ class Family:
         best = self.best(task)
         start, step = (self.start, STEP) if best is None else (best[2], RESTART)
         few = len(task.line.linear_model.states) > LARGE_PLANT
-        count = round(self.evaluations * (FEWER if few else 1.0) * (1.0 if best is None else 0.4))
+        count = max(2, round(task.effort * self.evaluations * (FEWER if few else 1.0) * (1.0 if best is None else 0.4)))
         simplex = np.vstack([start, start + step * np.eye(len(start))])
         options = {"maxfev": count, "initial_simplex": simplex, "xatol": 1e-2, "fatol": 1e-4}
         optimize.minimize(value, start, method="Nelder-Mead", options=options)
 
 
 def optimal_family(
-    task: Task, name: str, measured: Sequence[str], evaluations: int, start: Array, method: str = LQG, preview: float = 0.0
+    task: Task,
+    name: str,
+    measured: Sequence[str],
+    evaluations: int,
+    start: Weights,
+    method: str | int = LQG,
+    preview: float = 0.0,
+    free: Sequence[str] = (),
 ) -> Family:
-    """Returns the family of optimal laws of some sensors."""
+    """Returns the family of optimal laws of some sensors, in which some weights are free, by default all."""
+    free = free or [*start]
 
     def build(x: Array) -> Contender:
-        weights = dict(zip(searched(task), x.tolist(), strict=True))
-        text = "weights " + ", ".join(f"{key} {brief(float(np.exp(one)))}" for key, one in weights.items())
+        weights = {**start, **dict(zip(free, x.tolist(), strict=True))}
+        text = "weights " + ", ".join(f"{key} {brief(float(np.exp(one)))}" for key, one in weights.items() if key != SHARE)
         return Contender(name, design(task, name, measured, weights, method, preview), task.vehicle, text)
 
-    return Family(name, start, build, evaluations)
+    return Family(name, np.array([start[one] for one in free]), build, evaluations)
 
 
 def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
@@ -115,11 +129,10 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
             best = plain.best(task)
             start = np.concatenate([usual[:size] if best is None else best[2], np.zeros(2)])
             yield Family("skyhook+travel", start, lambda x: sky("skyhook+travel", x, True), 80), ()
-    groups, usual = task.groups, np.array([USUAL[name] for name in searched(task)])
-    whole = optimal_family(task, LQG_NAME, task.sensors, 150, usual)
+    groups, large = task.groups, len(task.line.linear_model.states) > LARGE_PLANT
+    whole = optimal_family(task, LQG_NAME, task.sensors, 150, {name: USUAL[name] for name in searched(task)})
     yield whole, tuple(groups)
-    best = whole.best(task)
-    start = usual if best is None else best[2]
+    start = whole.weights(task, searched(task))
     alone = [(name,) for name in groups] if len(groups) <= MOST_ALONE else []
     for some in dict.fromkeys([*alone, *(tuple(one for one in groups if one != name) for name in groups)]):
         if 0 < len(some) < len(groups):
@@ -128,5 +141,10 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
     states = task.line.linear_model.states
     if {*states} <= {*task.sensors}:
         yield optimal_family(task, PREVIEW, states, 20, start, PREVIEW, PREVIEW_TIME), ()
-    yield optimal_family(task, "H-infinity", task.sensors, 8, start, FULL), ()
-    yield optimal_family(task, "H-inf., static", task.sensors, 8, start, ""), ()
+    both = ["force", SHARE]
+    full = optimal_family(task, "H-infinity", task.sensors, 24, start | {SHARE: 1.5 * large}, FULL, free=both)
+    yield full, ()
+    count = ORDER * len(task.forces)
+    start |= full.weights(task, both)
+    yield optimal_family(task, f"H-inf., {count} states", task.sensors, 8, start, count, free=both), ()
+    yield optimal_family(task, "H-inf., static", task.sensors, 6, start, "", free=["force"]), ()

@@ -41,6 +41,7 @@ class Task:
         goal: quantity that is minimised.
         within: limits that a candidate keeps.
         timestep: timestep of the physics [s].
+        effort: number of evaluated candidates over the usual one.
     """
 
     vehicle: Vehicle
@@ -48,6 +49,7 @@ class Task:
     goal: str = "ride"
     within: Within = field(default_factory=Within)
     timestep: float = 1e-3
+    effort: float = 1.0
 
     @property
     def random(self) -> bool:
@@ -172,12 +174,16 @@ class Task:
             groups[group] = (*groups.get(group, ()), name)
         return groups
 
+    def given_noise(self, measured: Sequence[str]) -> list[float]:
+        """Returns the rms noise of sensors in the file; 0 without noise."""
+        how = self.vehicle.implementation
+        return [how.noise.get(name) or how.quantisation.get(name, 0.0) / math.sqrt(12) for name in measured]
+
     def noise_of(self, measured: Sequence[str]) -> Array:
         """Returns the white noise of sensors over that of the road: of the file, or `NOISE` of the signal."""
-        how = self.vehicle.implementation
-        steps = [how.quantisation.get(name, 0.0) / math.sqrt(12) for name in measured]
-        sizes = [how.noise.get(name) or step or NOISE * self.rms[name] for name, step in zip(measured, steps, strict=True)]
-        return np.array(sizes) * math.sqrt(how.sample_period or self.timestep) / self.white
+        given = zip(measured, self.given_noise(measured), strict=True)
+        sizes = [noise or NOISE * self.rms[name] for name, noise in given]
+        return np.array(sizes) * math.sqrt(self.vehicle.implementation.sample_period or self.timestep) / self.white
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,101 @@
+"""Lower bound on the ride of every controller of the same sensors: LQG of the sampled loop, with its delay and hold.
+
+Between samples a force u is held, so with v = [x; u] and F = [[A, B], [0, 0]] one matrix exponential has the state after a time
+h, the integral of |z|^2 and, for the noise within the period, the integral of that (C. F. Van Loan (1978), IEEE Transactions on
+Automatic Control 23, 395-404):
+
+    exp(h [[-F', 1, 0], [0, -F', Q], [0, 0, F]]) = [[., ., M], [., ., N], [., ., Phi]],
+    integral of exp(F' s) Q exp(F s) over h = Phi' N,    its integral over h = Phi' M.
+
+The state of the discrete problem is x and the forces that still act. The Riccati equations have the solutions X and P. P_f is the
+covariance behind a reading, W that of the period's noise, and K the regulator's gain. The least cost of a period is
+
+    tr X W + tr K' (R + B' X B) K P_f + the cost of noise within the period
+
+(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). No law that reads every period, and whose forces
+act with this delay, has a smaller mean square.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from models.common.errors import InputError
+from models.common.extensions import FEATURES
+from models.laws.linear import static_law
+from models.vehicle.controllers import ControllerEntry
+from sim.studies.recommend.optimal import weighted_vehicle
+from sim.studies.recommend.task import Task
+from synth.plant.generalized import Plant
+from synth.plant.loop import HoldInterval
+
+NEARLY_NONE, LEAST_NOISE = -9.0, 1e-6  # power of e of weights that keep a problem regular; share of a signal's rms
+FORCES, ENOUGH = np.arange(-3.0, -15.0, -1.5), 5e-3  # powers of e of the cost of force; relative change of a bound that is small
+
+
+def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]) -> float:
+    """Returns the least rms of z under white noise w of all laws that read C_y x + v every period, with forces held.
+
+    Args:
+        plant: continuous plant with n states, m inputs, q measurements.
+        hold: parts of the period, each with the delay of its force.
+        noise: rms of v, drawn at every reading, shape (q,).
+
+    Raises:
+        LinAlgError: a Riccati equation has no solution.
+    """
+    (n, m), late = plant.B.shape, max(part.delay_samples for part in hold)
+    size, period = n + late * m, sum(part.duration for part in hold)
+    # Rows select from [x; forces of the last samples; new force].
+    x, *previous = np.split(np.eye(size + m), [n + i * m for i in range(late + 1)])
+    forces, cost, W, within = [previous.pop(), *previous], np.zeros((size + m, size + m)), np.zeros((n, n)), 0.0
+    F, none = np.block([[plant.A, plant.B], [np.zeros((m, n + m))]]), np.zeros((n + m, n + m))
+    output, Bw = np.hstack([plant.C, plant.D]), plant.Bw
+    blocks = np.block([[-F.T, np.eye(n + m), none], [none, -F.T, output.T @ output], [none, none, F]])
+    for part in hold:
+        M, N, Phi = np.split(linalg.expm(part.duration * blocks)[:, -(n + m) :], 3)
+        Q, A = Phi.T @ N, Phi[:n, :n]
+        v = np.vstack([x, forces[part.delay_samples]])
+        within += float(np.trace(Q[:n, :n] @ W) + np.trace(Bw.T @ (Phi.T @ M)[:n, :n] @ Bw))
+        cost += v.T @ Q @ v
+        noisy = linalg.expm(part.duration * np.block([[-plant.A, Bw @ Bw.T], [np.zeros((n, n)), plant.A.T]]))[:n, n:]
+        x, W = Phi[:n] @ v, A @ W @ A.T + A @ noisy
+    state = np.vstack([x, *forces[:late]])
+    A, B, Q, S, R = state[:, :size], state[:, size:], cost[:size, :size], cost[:size, size:], cost[size:, size:]
+    X = linalg.solve_discrete_are(A, B, (Q + Q.T) / 2, (R + R.T) / 2, s=S)
+    inner = R + B.T @ X @ B
+    K = np.linalg.solve(inner, B.T @ X @ A + S.T)[:, :n]
+    Cy, V = plant.Cy, np.diag(np.square(noise))
+    P = linalg.solve_discrete_are(A[:n, :n].T, Cy.T, (W + W.T) / 2, V)
+    behind = P - P @ Cy.T @ np.linalg.solve(Cy @ P @ Cy.T + V, Cy @ P)
+    return math.sqrt((np.trace(X[:n, :n] @ W) + np.trace(K.T @ inner @ K @ behind) + within) / period)
+
+
+def lower_bound(task: Task) -> float | str:
+    """Returns the expected ride that no controller of the same sensors falls below without limits [m/s2], or why it is unknown.
+
+    The cost of force falls until the ride falls by less than `ENOUGH`; the bound is lower by twice the last change. The worst of
+    several points is at least their root mean square.
+    """
+    if any(wheel.behind(task.vehicle.parameters) for wheel in task.vehicle.kind.wheels):
+        return "the front wheels show the road of the rear wheels in advance"
+    last, change, points, how = math.inf, math.inf, task.line.ride_points.worst_of, task.line.implementation
+    given = zip(task.sensors, task.given_noise(task.sensors), strict=True)
+    noise = [max(one, LEAST_NOISE * task.rms[name]) / task.white for name, one in given]
+    entry = ControllerEntry("bound", task.sensors, static_law(np.zeros((len(task.forces), len(noise)))))
+    try:
+        for force in FORCES:
+            car = weighted_vehicle(task, {"travel": NEARLY_NONE, "tyre": NEARLY_NONE, "force": float(force)}, delayed=False)
+            car = replace(car, implementation=replace(how, sample_period=how.sample_period or task.timestep))
+            posed = FEATURES.load("norm as implemented").held_problem(car, entry)
+            ride = task.white * least_rms(posed.plant, posed.pieces, noise) / math.sqrt(len(points))
+            change, last = last - ride, min(ride, last)
+            if change < ENOUGH * last:
+                break
+    except (InputError, np.linalg.LinAlgError, ValueError) as error:
+        if math.isinf(change):
+            return str(error)
+    return last - 2 * change if 0 < last - 2 * change < math.inf else "it does not converge"
