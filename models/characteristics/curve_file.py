@@ -231,7 +231,7 @@ def _note(remarks: Sequence[str]) -> dict[str, str]:
 
 
 def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Heading) -> tuple[tuple[float, float], list[str]]:
-    """Returns the signs of velocity and force for which a damper dissipates energy in a test, and a remark about a changed sign.
+    """Returns the signs of velocity and force with which a damper dissipates energy, and a remark about a changed sign.
 
     Args:
         velocity: velocities [m/s], shape (n,).

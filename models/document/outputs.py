@@ -35,8 +35,9 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         json: True if standard output is reserved for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, or has the suffix of another format. Also if two outputs
-            are the same file, or an output and an input. Also if a vehicle file would replace a file that no command has saved.
+        InputError: an output cannot be written, or has the suffix of another format. Also raised if two outputs
+            are the same file, or an output and an input. Also raised if a vehicle file would replace a file that no command has
+            saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")
