@@ -1,25 +1,27 @@
-"""`[actuators]` of a vehicle file: in every suspension an actuator that pushes, or an adjustable damper.
+"""`[actuators]` of a vehicle file: each suspension has a force actuator or a semi-active damper.
 
-An adjustable damper has a coefficient c from c_min to c_max that a valve sets, and gives the force -c v, with v the velocity at
-which its suspension is stretched. The linear model (28) contains the nominal coefficient c_s. The force beyond that is
+The coefficient c of a semi-active damper is between c_min and c_max, and a valve sets it. The damper gives the force -c v,
+where v is the velocity at which its suspension extends. The linear model (28) contains the nominal coefficient c_s. The control
+force is relative to the nominal damper:
 
     u = -(c - c_s) v.
 
-If a controller commands a force u* beyond the nominal damper's, the coefficient is the one that gives it, within the limits:
+If a controller commands a control force u*, the valve sets the coefficient that gives this force, within the limits:
 
-    c = clip(c_s - u* / v, c_min, c_max),
+    c = clip(c_s - u* / v, c_min, c_max).
 
-with curves instead of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set at the controller's sample
-from the velocity then, and held until the next. If v is 0 and u* is not, v counts as slightly negative; if both are 0 the damper
-is the nominal one.
+With characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), see below. The coefficient is computed
+from the velocity at the controller's sample, and held until the next sample. If v is 0 and u* is not, v counts as slightly
+negative. If both are 0, the coefficient is the nominal one.
 
-Such a damper may be measured, as its force over velocity at its softest and at its firmest setting. With F_min and F_max these
-curves (`models.parts`), and s from 0 to 1 the setting of the valve, the damper pulls with
+Such a damper may be measured: its force over velocity at the softest and at the firmest setting, F_min and F_max
+(`models.parts`). With the valve setting s from 0 to 1, the damper pulls with
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
-where c_min and c_max are the slopes of both at rest. The coefficient at rest, c = c_min + s (c_max - c_min), names a setting.
-h is a velocity that bends as the curves do, with slope 1 at rest; for straight curves h = v and F = c v.
+where c_min and c_max are the slopes of F_min and F_max at v = 0. The coefficient at v = 0, c = c_min + s (c_max - c_min),
+identifies a setting. The function h is a velocity with slope 1 at v = 0. It is nonlinear like the characteristics; for straight
+ones, h = v and F = c v.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,15 +37,16 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 
-TOUCHING_DISTANCE = 1e-9  # distance at which two curves touch, over the largest force
+TOUCHING_DISTANCE = 1e-9  # distance at which two characteristics touch, relative to the largest force
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Curves of an adjustable damper.
+    """Characteristics of a semi-active damper.
 
     Attributes:
-        soft, hard: curves at the softest and at the firmest setting.
+        soft: characteristic at the softest setting.
+        hard: characteristic at the firmest setting.
     """
 
     soft: ForceCurve
@@ -51,27 +54,28 @@ class Envelope:
 
     @cached_property
     def knots(self) -> Array:
-        """The points of both [m/s], shape (n,)."""
+        """Points of both characteristics [m/s], shape (n,)."""
         return np.unique(np.concatenate([self.soft.x, self.hard.x]))
 
     @cached_property
     def shape(self) -> ForceCurve:
-        """h [m/s] over velocity [m/s]."""
+        """The function h [m/s] over velocity [m/s]."""
         x = self.knots
         bent = (self.hard.pieces.force(x) - self.soft.pieces.force(x)) / (self.hard.slope - self.soft.slope)
         return ForceCurve(x, x + bent, 1.0, "the difference of the damper's settings")
 
     @property
     def line(self) -> float:
-        """Slope of h at rest, the smaller of both sides."""
+        """Slope of h at velocity 0, the smaller of the slopes on both sides."""
         rest = int(np.searchsorted(self.knots, 0.0))
         return float(self.shape.slopes[rest : rest + 2].min())
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """The deviation of h from that line: knots [m/s], the increase of slope beyond each, and its side, 1 or -1.
+        """Deviation of h from a straight line, as ramps: knot [m/s], increase of the slope beyond it, and side (1 or -1).
 
-        A ramp from rest never has a negative increase: MuJoCo would read that actuator's bias as a damping ratio.
+        A ramp that begins at 0 never has a negative increase, because MuJoCo would interpret the bias of its actuator as a
+        damping ratio.
         """
         x, slopes = self.knots, self.shape.slopes
         rest = int(np.searchsorted(x, 0.0))
@@ -82,11 +86,11 @@ class Envelope:
 
     @property
     def straight(self) -> bool:
-        """True if neither curve bends."""
+        """True if both characteristics are straight."""
         return not len(self.soft.pieces.slope) and not len(self.hard.pieces.slope)
 
     def same(self, other: "Envelope | None") -> bool:
-        """Returns True if another pair has the same curves."""
+        """Returns True if another pair has the same characteristics."""
         if other is None:
             return False
         pairs = ((self.soft, other.soft), (self.hard, other.hard))
@@ -94,10 +98,14 @@ class Envelope:
 
 
 def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
-    """Returns two curves as limits.
+    """Returns a pair of characteristics as the limits of a semi-active damper.
+
+    Args:
+        soft: characteristic at the softest setting.
+        hard: characteristic at the firmest setting.
 
     Raises:
-        InputError: the firmer one is not above the softer one at every velocity.
+        InputError: the firmest setting does not have a larger force than the softest setting at every velocity.
     """
     pair = Envelope(soft, hard)
     x, largest = pair.knots, max(soft.range, hard.range)
@@ -127,13 +135,14 @@ CURVE_KEYS = ("c_min", "c_max")  # keys whose values may be tables
 
 @dataclass(frozen=True)
 class Damper:
-    """Adjustable damper.
+    """Semi-active damper.
 
     Attributes:
-        c_min, c_max: smallest and largest coefficient [N s/m]; with curves, at rest.
-        bandwidth: corner frequency of its valve, a first-order lag from the set coefficient to the acting one [rad/s]; None for
-            a valve without lag.
-        pair: curves of the damper; None if they are straight lines.
+        c_min: smallest coefficient [N s/m]; for characteristics, the one at velocity 0.
+        c_max: largest coefficient [N s/m]; for characteristics, the one at velocity 0.
+        bandwidth: corner frequency of the valve, a first-order lag from the set to the actual coefficient [rad/s]; None for a
+            valve without lag.
+        pair: characteristics of the damper; None if they are straight lines.
         replaces: True if it replaces the suspension's own damper.
     """
 
@@ -145,19 +154,19 @@ class Damper:
     pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
-        """Returns the damper of a vehicle with other elements."""
+        """Returns the damper for a vehicle with other elements."""
         return self
 
     @property
     def words(self) -> str:
-        """The damper in a phrase."""
+        """Description of the damper in a phrase."""
         lag = "" if self.bandwidth is None else f", with a valve of bandwidth {self.bandwidth:g} rad/s"
         between = "" if self.pair is None else " at velocity 0, between two curves"
         return f"a semi-active damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
 
 
 def _coefficient(setting: str, low: float) -> ReadBy:
-    """Returns the key of a damper's coefficient at a setting, or of the table of its force over velocity."""
+    """Returns the key for a damper's coefficient at a setting, or for the table of its force over velocity."""
     number = SI("N s/m", f"coefficient at the {setting} setting, or the table of its force", low)
 
     def read(value: Any, context: Mapping[str, Any]) -> float | ForceCurve:
@@ -168,7 +177,7 @@ def _coefficient(setting: str, low: float) -> ReadBy:
 
 @dataclass(frozen=True)
 class ActuatorSection(Section):
-    """`[actuators]` of a vehicle file, with the keys of all suspensions, or of one."""
+    """`[actuators]` of a vehicle file: keys for all suspensions, or for one suspension."""
 
     by_place: ClassVar[bool] = True
 
@@ -199,10 +208,10 @@ class ActuatorSection(Section):
 
     @property
     def damper(self) -> Damper | None:
-        """The damper; None for an actuator that pushes.
+        """The damper; None for a force actuator.
 
         Raises:
-            InputError: no damper has such curves.
+            InputError: the characteristics are not valid for a damper.
         """
         if self.kind == KINDS[0]:
             return None
@@ -215,15 +224,15 @@ class ActuatorSection(Section):
 
 
 def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
-    """Reads `[actuators]`: the adjustable dampers, by the force that each replaces.
+    """Reads `[actuators]` and returns the semi-active dampers, by the force that each replaces.
 
     Args:
-        section: keys of all dampers, and sections of single ones, named by the suffix of their force.
-        corners: suffix, with its underscore, by force.
-        limited: keys of `[limits]` for actuators.
+        section: keys for all dampers, and sections for single dampers, named by the suffix of their force.
+        corners: suffix of each force, with its underscore, by force.
+        limited: keys of `[limits]` that limit force actuators.
 
     Raises:
-        InputError: a key is unknown, a value is not allowed, or `[limits]` limits actuators that push.
+        InputError: a key is unknown, a value is not allowed, or `[limits]` limits force actuators.
     """
     endings = {ending.removeprefix("_"): force for force, ending in corners.items() if ending}
     single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVE_KEYS}
@@ -249,10 +258,10 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
 
 
 def check_unlimited(limited: Sequence[str], what: str) -> None:
-    """Checks that no key of `[limits]` limits actuators that push; `what` names the dampers.
+    """Checks that `[limits]` has no limits for force actuators. `what` describes the dampers in the message.
 
     Raises:
-        InputError: a key does.
+        InputError: a key of `[limits]` limits force actuators.
     """
     if limited:
         raise InputError(

@@ -1,10 +1,10 @@
-"""Curve files, `file = "damper.csv"` or `stop = "bump.csv"`: the table replaces the name when a vehicle file is read.
+"""Files with characteristics, `file = "damper.csv"` or `stop = "bump.csv"`. Their tables replace the names in a vehicle file.
 
-So a vehicle that was read needs no other files, as with laws and families. Tables, as CSV, `.xlsx` or `.mat`, have a header with
-quantity and unit of each column, `velocity [mm/s], force [kN]`. Damper property files, `.dpr`, of Adams/Car are in the TeimOrbit
-format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the
-table in `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help,
-READ_T_O_START_TABLE_READ).
+After a vehicle file is read, it therefore needs no other files; the same applies to control laws and families. Tables in CSV,
+`.xlsx` or `.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property
+files (`.dpr`) of Adams/Car have the TeimOrbit format. It consists of blocks in brackets, tables below a row of names in braces,
+and comments after `$` or `!`. The units are in `[UNITS]`, the table is in `[CURVE]`. Sources: MSC Software, Adams Tire help,
+"About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
 """
 
 import re
@@ -31,28 +31,29 @@ from models.common.units import QUANTITY, unit_size
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"
 ARGUMENTS = ("velocity", "deflection")
-SIGN_HEADINGS = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}  # in extension
-ROLES = {  # words of each column
+# Words of headings with a sign that is positive in extension
+SIGN_HEADINGS = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}
+ROLES = {  # words of headings, by quantity
     "force": {"force", "load", "kraft", "effort"},
     "velocity": {*SIGN_HEADINGS["velocity"], "speed"} - {"v"},
     "deflection": {"deflection", "displacement"},
     "time": {"time", "t", "timestamp", "zeit", "temps"},
 }
-LOG = ("time", "deflection", "force")  # of a dynamometer, from which the velocity is computed
-GAS = 0.02  # of the largest force: differences at rest that are no gas
+LOG = ("time", "deflection", "force")  # columns of a dynamometer log, from which the velocity is computed
+GAS = 0.02  # relative to the largest force; smaller differences at velocity 0 are not caused by gas
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
 HEAD = re.compile(r"\{(.*?)\}")
 
 
 def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
-    """Yields the tables of a vehicle file's curves and stops that name files.
+    """Yields the tables that replace file names of characteristics and stops in a vehicle file.
 
     Args:
         data: tables of the vehicle file.
-        folder: folder of the file, to which its paths are relative.
+        folder: folder of the vehicle file, to which paths are relative.
 
     Raises:
-        InputError: a file is missing, or does not contain a curve; the message names it.
+        InputError: a file is missing, or does not contain a characteristic. The message gives the file.
     """
     for path, entry in _with_files(data):
         sources: list[tuple[str, Path]] = []
@@ -71,7 +72,7 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
 
 
 def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields the entries of curves, dampers and stops that name files, each with its path."""
+    """Yields the entries of characteristics, dampers and stops that contain file names, each with its path."""
     for section in ("curves", "actuators"):
         yield from _entries_with_files(data.get(section), (section,))
     limits = data.get("limits")
@@ -83,7 +84,13 @@ def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]
 
 
 def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields the entries at and below a path that name files; with `texts` a text names a file, unless it is a quantity."""
+    """Yields the entries at and below a path that contain file names.
+
+    Args:
+        entry: entry of the vehicle file.
+        path: path of the entry.
+        texts: True if a text is a file name, unless it is a number with a unit.
+    """
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
     if named or _names_file(entry) or (isinstance(entry, list) and any(map(_names_file, entry))):
         yield path, entry
@@ -107,7 +114,7 @@ def _without_file(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _argument(path: tuple[str, ...]) -> str:
-    """Returns the quantity over which an entry's force is, or "ratio"; empty for a parameter of an own name."""
+    """Returns the argument of an entry's force, or "ratio"; empty for a parameter with a custom name."""
     if path[0] == "limits":
         return "compression"
     if path[0] == "actuators" or "damping" in path[-1]:
@@ -118,7 +125,7 @@ def _argument(path: tuple[str, ...]) -> str:
 
 
 def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources: list[tuple[str, Path]]) -> dict[str, Any]:
-    """Returns the table of a file, and adds a comment with its source and its path to the sources."""
+    """Returns the table in a file as an entry of the vehicle file, and adds the source of the table to `sources`."""
     name = entry["file"]
     if not isinstance(name, str) or not name:
         raise InputError(f"file = {short_repr(name)} is not the name of a file; {GIVE}")
@@ -138,13 +145,16 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
 
 
 def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
-    """Returns a table in SI units, positive in extension; that of a stop over its compression, positive in compression.
+    """Returns a table in SI units, positive in extension; for a stop, over its compression and positive in compression.
 
-    The words of the headings decide the signs. The sheet of a damper dynamometer has speeds, and forces in compression and in
-    rebound: F(v) is the rebound force at v, and F(-v) is minus the compression force. Points that go round are a measured loop.
+    The words of the headings determine the signs. The data sheet of a damper dynamometer has speeds, and forces in compression
+    and in
+    rebound: F(v) is the rebound force at v, and F(-v) is minus the compression force. Points that go back and forth are a
+    measured loop.
 
     Args:
-        over: "velocity", "deflection", or "compression" for a stop; empty for the first two.
+        text: content of the file.
+        over: argument: "velocity", "deflection", or "compression" for a stop; empty for velocity or deflection.
         give: required content of the file, for messages.
     """
     table = find_table(text, give)
@@ -152,7 +162,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     by_role: dict[str, list[Heading]] = defaultdict(list)
     for heading in headings:
         by_role[_role(heading)].append(heading)
-    for role in ROLES:  # volts of a force's sensor are no force
+    for role in ROLES:  # excludes, for example, the voltage of a force sensor
         by_role[role] = [one for one in by_role[role] if unit_size(one.unit, QUANTITIES[role].si)] or by_role[role]
     wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
     known, forces = by_role[wanted], by_role["force"]
@@ -195,7 +205,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True)) | _note(notes)
     if undirected and not log and numbers.min() < 0:
         raise question
-    # A stop's own compression may have any other word before it: rebound stop compression. Without a direction it is meant, too.
+    # The compression of a stop may have other words in its heading, as in "rebound stop compression". It is also meant if the
+    # heading gives no direction.
     named = -1 if over == "compression" and (undirected or "compression" in used[0].words) else used[0].direction
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
     x, force = towards * x, (named or used[1].direction or 1) * values[0]
@@ -212,7 +223,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     x, force = x[different], force[different]
     if over == "compression":
         wanted, x, force = over, -x[::-1], -force[::-1]
-    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist()} | _note(notes)  # no -0.0
+    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist()} | _note(notes)  # + 0.0 avoids -0.0
 
 
 def _note(remarks: Sequence[str]) -> dict[str, str]:
@@ -220,13 +231,16 @@ def _note(remarks: Sequence[str]) -> dict[str, str]:
 
 
 def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Heading) -> tuple[tuple[float, float], list[str]]:
-    """Returns the signs of velocity and force with which a damper dissipates energy over a test, and a remark on the turned one.
+    """Returns the signs of velocity and force with which a damper dissipates energy, and a remark about a changed sign.
 
     Args:
-        motion, load: headings of velocity or displacement, and of force.
+        velocity: velocities [m/s], shape (n,).
+        force: forces [N], shape (n,).
+        motion: heading of velocity or displacement.
+        load: heading of force.
 
     Raises:
-        InputError: the headings give both directions, and the damper would supply energy.
+        InputError: the headings give both directions, but the damper would supply energy.
     """
     if (power := dissipation(velocity, force)) > 0:
         return (1.0, 1.0), []
@@ -238,7 +252,7 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
 
 
 def _of_ratio(text: str) -> dict[str, Any]:
-    """Returns a motion ratio over travel in SI units, positive in extension."""
+    """Returns a table of a motion ratio over travel in SI units, positive in extension."""
     table = find_table(text, "give a .csv file with a header such as deflection [mm], ratio")
     headings = table.headings([QUANTITIES["deflection"].si])
     ratios = [one for one in headings if RATIO in one.words]
@@ -255,7 +269,7 @@ def _of_ratio(text: str) -> dict[str, Any]:
 
 
 def _role(heading: Heading) -> str:
-    """Returns "force", "velocity" or "deflection" for a column, from its words or its unit; empty for others."""
+    """Returns the quantity of a column from its words or its unit, a key of `ROLES`; empty for other quantities."""
     for role, words in ROLES.items():
         if heading.words & words:
             return role
@@ -264,12 +278,12 @@ def _role(heading: Heading) -> str:
 
 
 def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[float], list[float]]:
-    """Returns velocities and forces of a dynamometer's sheet."""
+    """Returns velocities and forces from the data sheet of a dynamometer."""
     if (speed < 0).any():
         raise InputError("has a speed below 0; give speeds from 0 on, with the forces in compression and in rebound")
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
-    pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # either sign is usual
+    pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # both signs are common
     gas = np.where(v == 0, np.abs(pushing - pulling) > GAS * pulling.max(), np.minimum(pushing, pulling) < 0)
     for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
@@ -279,15 +293,16 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
 
 
 def _dpr_columns(text: str) -> str:
-    """Returns the table of a damper property file with headings, line for line."""
+    """Returns the table of a damper property file with headings, and with the line numbers of the file."""
     text = re.sub(r"[$!].*", "", text)
-    before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}  # lines before a block
+    # Number of lines before each block
+    before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}
     blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
             raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
     units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
-    if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units are in a table, too
+    if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units may also be in a table
         units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
     for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time")):
         if unit_size(units.get(key, ""), QUANTITIES[name].si) is None:

@@ -1,25 +1,27 @@
-"""Curves of many points in fewer straight lines.
+"""Approximation of characteristics that have many points, by fewer straight segments.
 
-The lines are those of H. Imai and M. Iri (1986), An optimal algorithm for approximating a piecewise linear function, J. Inf.
-Process. 9, 159-162, with points of the curve as ends. Between points both are straight, so the error at the points is the error
-everywhere. The lines next to rest have the slopes of the curve's own points, which linear analysis uses.
+The algorithm is that of H. Imai and M. Iri (1986), An optimal algorithm for approximating a piecewise linear function, J. Inf.
+Process. 9, 159-162. The ends of the segments are points of the characteristic. Both functions are straight between points, so
+the largest error is at a point. The segments next to 0 have the slopes of the characteristic's own points, which linear
+analysis uses.
 """
 
 import numpy as np
 
 from models.common.arrays import Array
 
-NOISE = 4 / 2.4  # four standard deviations, over the third quartile of normal noise in the deviations of `slopes_at_rest`
+NOISE = 4 / 2.4  # four standard deviations, relative to the third quartile of normal noise in the deviations of `slopes_at_rest`
 
 
 def point_indices(x: Array, force: Array, error: float) -> Array:
-    """Returns the indices of the remaining points of a curve, shape (k,): the first, the last, rest, and as few as will do
-    between.
+    """Returns the indices of the points of an approximation, shape (k,).
+
+    These are the first point, the last point, 0, and as few other points as possible.
 
     Args:
-        x: points of the curve, ascending, with rest, 0, among them, shape (n,).
-        force: shape (n,).
-        error: largest allowed error, in the force's unit.
+        x: points of the characteristic, ascending, including 0, shape (n,).
+        force: force at each point, shape (n,).
+        error: largest allowed error, in the unit of the force.
     """
     rest = int(np.searchsorted(x, 0.0))
     indices, first = [], 0
@@ -31,9 +33,9 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point to which a straight line from the first is within the error of every point between."""
+    """Returns the last point for which a straight line from the first point is within the error at every point between."""
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
-    # Every point on the way limits the slope of a line from above and below.
+    # Every point in between limits the slope of a line from above and below.
     steepest = np.minimum.accumulate((rise + error) / run)
     flattest = np.maximum.accumulate((rise - error) / run)
     slope = rise / run
@@ -43,13 +45,13 @@ def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> in
 
 
 def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: float) -> tuple[Array, Array]:
-    """Returns the ends of as few straight lines as will do, shapes (k,); the lines next to rest have given slopes.
+    """Returns the ends of as few straight segments as possible, shapes (k,). The segments next to 0 have given slopes.
 
     Args:
-        x: points of the curve, ascending, shape (n,).
-        force: shape (n,), 0 at rest.
-        slopes: slopes of the lines below and above rest.
-        error: largest allowed error, in the force's unit.
+        x: points of the characteristic, ascending, shape (n,).
+        force: force at each point, 0 at x = 0, shape (n,).
+        slopes: slopes of the segments below and above 0.
+        error: largest allowed error, in the unit of the force.
     """
     at = [(0.0, 0.0)]
     for side, slope in zip((-1.0, 1.0), slopes, strict=True):
@@ -65,13 +67,16 @@ def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: 
 
 
 def slopes_at_rest(x: Array, force: Array, error: float) -> tuple[float, float]:
-    """Returns the slopes of a table below and above rest: those of the segments at rest, or of more points if there is noise.
+    """Returns the slopes of a table below and above 0.
 
-    Noise is the deviation of the points from smooth curves through their neighbours. With noise, the slope is that of the longest
-    line through rest, in least squares, from which no point differs by more than the noise.
+    Without noise, these are the slopes of the segments at 0. Noise is the deviation of the points from smooth curves through
+    their neighbours. With noise, the slope is that of the longest least-squares line through 0 from which no point deviates by
+    more than the noise.
 
     Args:
-        error: largest allowed difference, in the force's unit.
+        x: points of the table, ascending, shape (n,).
+        force: force at each point, shape (n,).
+        error: largest allowed deviation, in the unit of the force.
     """
     step = np.diff(x)
     bend = np.diff(np.diff(force) / step) * step[1:] * step[:-1] / (step[1:] + step[:-1])

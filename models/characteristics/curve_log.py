@@ -1,8 +1,8 @@
-"""Raw logs of damper dynamometers: force and displacement over time, of which the velocity is computed.
+"""Logs of damper dynamometers: force and displacement over time, from which the velocity is computed.
 
-The filter of A. Savitzky and M. Golay, which has no delay, differentiates the displacement. Its cut-off of 3 dB is that of
-R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). The mean
-of force times velocity over full cycles is above 0 for a damper. This decides the sign of one of the two.
+The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. Its 3 dB cut-off frequency is
+given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). For a
+damper, the mean of force times velocity over full cycles is above 0. This determines the relative sign of force and velocity.
 """
 
 import numpy as np
@@ -11,26 +11,27 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import rough
 
-CYCLES = 10  # the last ones of a log, which are used
-STROKE = 0.5  # of the range of displacement: smaller strokes do not end a cycle
-HARMONICS, ORDER = 12.0, 3  # cut-off of the filter over the frequency of the cycles, and the order of its polynomials
-LEAST_SIDE = 3  # samples on both sides of a filter's middle
-NEARLY = 0.05  # of a cycle, which may be missing from a full one
-SAMPLES = 25.0  # per cycle, at least
-GAP = 10.0  # longest step over the mean step
-LEAST_CORRELATION = 0.05  # correlation of force and velocity
+CYCLES = 10  # number of cycles at the end of a log that are used
+STROKE = 0.5  # relative to the range of displacement; smaller strokes do not end a cycle
+# Cut-off frequency of the filter relative to the frequency of the cycles, and order of its polynomials
+HARMONICS, ORDER = 12.0, 3
+LEAST_SIDE = 3  # smallest number of samples on both sides of the filter's centre
+NEARLY = 0.05  # share of a cycle that may be missing in a full cycle
+SAMPLES = 25.0  # smallest number of samples per cycle
+GAP = 10.0  # longest step relative to the mean step
+LEAST_CORRELATION = 0.05  # smallest correlation of force and velocity
 
 
 def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:
-    """Returns velocity [m/s] and force [N] of the last full cycles of a log, shapes (k,), and how they were obtained.
+    """Returns velocity [m/s] and force [N] of the last full cycles in a log, shapes (k,), and a phrase about the method.
 
     Args:
         time: times of the samples, ascending [s], shape (n,).
-        displacement: shape (n,) [m].
-        force: shape (n,) [N].
+        displacement: displacement [m], shape (n,).
+        force: force [N], shape (n,).
 
     Raises:
-        InputError: time does not rise or has a gap, or there is no full cycle, or a cycle has too few samples.
+        InputError: time does not ascend or has a gap, there is no full cycle, or a cycle has too few samples.
     """
     from scipy.signal import find_peaks, savgol_filter
 
@@ -62,7 +63,9 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
 
 
 def dissipation(velocity: Array, force: Array) -> float:
-    """Returns the mean power of a damper without its mean force [W]: above 0 if force and velocity have the same sign.
+    """Returns the mean power that a damper dissipates without its mean force [W].
+
+    The power is above 0 if force and velocity have the same sign.
 
     Raises:
         InputError: the force does not depend on the velocity.

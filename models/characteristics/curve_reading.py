@@ -42,7 +42,7 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     return velocity * v, force * smooth
 
 
-MOST_POINTS = 20_000  # of a table
+MOST_POINTS = 20_000  # points of a table
 MOST_LINES = 24  # segments of a characteristic without friction; each is an actuator that adds 2 % to a quarter-car's time step
 AT_REST = 2  # additional segments of an approximation, which keep the slopes of the table at 0
 # Errors of an approximation relative to the largest force, if a table has more segments than that. The first error with few
@@ -325,7 +325,9 @@ def _deflection_under_load(x: Array, force: Array, load: float) -> float:
 
 
 def _knots(parts: Sequence[Array]) -> Array:
-    """Returns the points of several characteristics in ascending order, without duplicates due to rounding. 0 stays a point."""
+    """Returns the points of several characteristics in ascending order, without duplicates due to rounding.
+
+    The point at 0 always remains."""
     x = np.unique(np.concatenate(parts))
     close = 2 * CLOSEST * (x[-1] - x[0])
     x = x[(np.abs(x) > close) | (x == 0)]

@@ -1,7 +1,7 @@
-"""Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, straight between its points.
+"""Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, with linear interpolation.
 
-Beyond its points the ratio is constant. The travel D of an element's own ends is the integral of r from rest. The forces of an
-element at a ratio are those of `models.parts.ratio`.
+Beyond the points of the table, the ratio is constant. The travel D between an element's own ends is the integral of r from
+equilibrium. `models.parts.ratio` has the forces of an element at a motion ratio.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,9 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, read
 
-TRIALS = 12  # of the search for a deflection, which is exact after one within a part of constant ratio
-FARTHEST, HALVINGS = 1.0, 60  # m, of the search for a rest
-COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
+TRIALS = 12  # iterations of the search for a deflection; one iteration is exact where the ratio is constant
+FARTHEST, HALVINGS = 1.0, 60  # m, range of the search for an equilibrium; number of bisections
+COLUMNS = 41  # columns of a position-dependent damper; the error between columns is the square of their distance, times r' / 8
 PLACES = 9  # decimal places of a deflection [m] at which tables have a point
 
 
@@ -30,9 +30,9 @@ class RatioTable:
     """Motion ratio over the deflection of a suspension.
 
     Attributes:
-        x: deflections [m], ascending, with rest among the inner ones, shape (n,).
-        ratio: r at these, shape (n,).
-        straight: True for the tangent of springs and dampers at rest, of linear analysis, instead of the table.
+        x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
+        ratio: r at these deflections, shape (n,).
+        straight: True to use the linearised springs and dampers of linear analysis instead of the table.
     """
 
     x: Array
@@ -45,25 +45,28 @@ class RatioTable:
 
     @cached_property
     def at_rest(self) -> float:
-        """r(0)."""
+        """r(0), the motion ratio in equilibrium."""
         return float(self(np.zeros(())))
 
     @cached_property
     def relative_slope(self) -> float:
-        """r'(0) over r(0) [1/m], the mean of both sides of rest."""
+        """r'(0) / r(0) [1/m], with the mean slope of both sides."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
         return slope_at_rest(x, self(x)) / self.at_rest
 
     def scaled(self, at_rest: float) -> "RatioTable":
-        """Returns the table times a factor, with another ratio at rest."""
+        """Returns the table multiplied by a factor, so that its ratio in equilibrium has a given value."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
     def shifted_to(self, rest: float) -> "RatioTable":
-        """Returns the table over deflections from another rest [m].
+        """Returns the table relative to another equilibrium.
+
+        Args:
+            rest: deflection at the new equilibrium [m].
 
         Raises:
-            InputError: the table ends before.
+            InputError: the table does not contain the new equilibrium.
         """
         if not self.x[0] < rest < self.x[-1]:
             raise InputError(
@@ -72,7 +75,13 @@ class RatioTable:
         return replace(self, x=self.x - rest)
 
     def rest_at_load(self, rate: float, load: float, other: float) -> float:
-        """Returns the deflection at which a spring of a rate [N/m] that carries a load at rest carries another one [N]."""
+        """Returns the deflection at which a spring carries another load.
+
+        Args:
+            rate: stiffness of the spring [N/m].
+            load: load that the spring carries at deflection 0 [N].
+            other: the other load [N].
+        """
         low, high = -FARTHEST, FARTHEST
         for _ in range(HALVINGS):
             d = (low + high) / 2
@@ -82,7 +91,9 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Start, travel there, ratio there and its slope of each segment and of the constant ends, shape (4, n + 1)."""
+        """Segments of the table and its constant ends: start, travel there, ratio there, and slope of the ratio, shape
+        (4, n + 1).
+        """
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
         rest = int(np.searchsorted(x, 0.0, side="right")) - 1
@@ -98,7 +109,7 @@ class RatioTable:
         return ratio + turned, travel + s * (ratio + turned / 2)
 
     def slope(self, deflection: Array) -> Array:
-        """Returns r' at deflections [1/m], shape (...); at a point of the table that below the point."""
+        """Returns r' at deflections [1/m], shape (...). At a point of the table, the slope is that below the point."""
         return self._segments[3][self.x.searchsorted(deflection)]
 
     def travel(self, deflection: Array) -> Array:
@@ -106,17 +117,17 @@ class RatioTable:
         return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:
-        """Returns the deflections [m] at travels [m] of the element, shape (...), by Newton's method: D rises everywhere."""
+        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method. D rises everywhere."""
         d = travel / self.at_rest
         for _ in range(TRIALS):
             d = d - (self.travel(d) - travel) / self(d)
         return d
 
     def damper(self, curve: ForceCurve) -> ForceSurface:
-        """Returns the force of a damper at the wheel over velocity and deflection.
+        """Returns the force of a damper at the wheel, over velocity and deflection.
 
-        One that is position-dependent has the forces of its table at the deflections of both tables and at `COLUMNS` more, and is
-        straight between.
+        The force of a position-dependent damper is computed at the deflections of both tables and at `COLUMNS` more
+        deflections. It is interpolated linearly between them.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
@@ -128,14 +139,14 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic, whose largest force is that at the ends of a range."""
+    """Returns a straight characteristic. Its largest force is that at the ends of a given range."""
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
 
 
 @dataclass(frozen=True)
 class RatioSection(TableSection):
-    """Motion ratio over travel."""
+    """Section of a motion ratio over travel."""
 
     arguments: ClassVar[tuple[str, ...]] = (DEFLECTION.name,)
     of: ClassVar[str] = RATIO
@@ -145,7 +156,7 @@ class RatioSection(TableSection):
 
 
 def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:
-    """Returns a motion ratio from its table in a vehicle file; `check` raises an InputError for a ratio that is not allowed."""
+    """Returns a motion ratio from its table in a vehicle file. `check` raises an InputError for a ratio that is not allowed."""
     x, ratio = read(where, RatioSection, entry).points
     with error_in(f"{where}:"):
         if not x[0] < 0 < x[-1]:

@@ -1,12 +1,12 @@
-"""A damper's force over velocity v and deflection d, as a table that is bilinear between its points.
+"""A damper's force over velocity v and deflection d, as a table with bilinear interpolation.
 
-Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities the table continues with its
-last slopes; beyond its deflections it keeps its last column. With a ratio r of damper travel to suspension travel at each
-deflection, straight between these, the force along the suspension is
+Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities, the table continues with
+its last slopes. Beyond its deflections, it keeps its last column. The ratio r of damper travel to suspension travel is given at
+each deflection and interpolated linearly. The force along the suspension is
 
     F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
 
-Linear analysis uses the slope over velocity at rest, v = 0 and d = 0.
+Linear analysis uses the slope over velocity at v = 0 and d = 0.
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,17 +17,17 @@ import numpy as np
 from models.characteristics.curve import STRAIGHT, ForceCurve, slope_at_rest
 from models.common.arrays import Array
 
-NODES, WIDTH = 400, 6.0  # of the mean over a Gaussian deflection, and its half width in standard deviations
+NODES, WIDTH = 400, 6.0  # number of points for the mean over Gaussian deflections; half of their range in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class ForceSurface(ForceCurve):
-    """Force over velocity and deflection; as a `ForceCurve`, its section at deflection 0.
+    """Force over velocity and deflection. As a `ForceCurve`, it is the section at deflection 0.
 
     Attributes:
-        velocities: velocities u of the table [m/s], ascending, with 0 among the inner ones, shape (n,).
+        velocities: velocities u of the table [m/s], ascending, with 0 between the first and the last, shape (n,).
         deflections: deflections of the table [m], ascending, shape (k,).
-        table: G at these [N], 0 at velocity 0, shape (n, k).
+        table: G at these velocities (rows) and deflections (columns) [N], 0 at velocity 0, shape (n, k).
         ratio: r at the deflections, above 0, shape (k,).
     """
 
@@ -43,11 +43,11 @@ class ForceSurface(ForceCurve):
         r = constant.take(j) + steep.take(j) * deflection
         u = r * velocity
         i = self.velocities.searchsorted(u)
-        a, b, c, e = self.cells.reshape(4, -1).take(i * len(constant) + j, axis=1)  # faster than two indices
+        a, b, c, e = self.cells.reshape(4, -1).take(i * len(constant) + j, axis=1)  # faster than indexing with two indices
         return r * (a + b * u + (c + e * u) * deflection)
 
     def beyond(self, velocity: Array, deflection: Array) -> Array:
-        """Returns the deviation of F from its line [N], shape (...)."""
+        """Returns the deviation of F from its linearisation [N], shape (...)."""
         return self.along(velocity, deflection) - self.slope * np.asarray(velocity)
 
     def scaled(self, factor: float) -> "ForceSurface":
@@ -60,7 +60,14 @@ class ForceSurface(ForceCurve):
         return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, **parts)
 
     def mean(self, centre: float, deviation: float) -> ForceCurve:
-        """Returns the mean of F over Gaussian deflections [m], which velocities do not depend on, at the table's velocities."""
+        """Returns the mean of F over Gaussian deflections, at the velocities of the table.
+
+        Deflections and velocities are independent.
+
+        Args:
+            centre: mean of the deflections [m].
+            deviation: standard deviation of the deflections [m].
+        """
         z = WIDTH * np.linspace(-1.0, 1.0, NODES) if deviation else np.zeros(1)
         weight = np.exp(-(z**2) / 2)
         x = self.velocities / np.interp(centre, self.deflections, self.ratio)
@@ -71,7 +78,7 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def is_nonlinear(self) -> bool:
-        v = self.velocities[:, None] / self.ratio  # of the suspension, at all points of the table
+        v = self.velocities[:, None] / self.ratio  # velocity of the suspension at all points of the table
         return bool((np.abs(self.beyond(v, self.deflections)) > STRAIGHT * self.range).any())
 
     @property
@@ -85,21 +92,28 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def cells(self) -> Array:
-        """The coefficients a, b, c and e of every cell, shape (4, n + 1, k + 1), with those beyond the table."""
+        """Coefficients a, b, c and e of every cell, including those beyond the table, shape (4, n + 1, k + 1)."""
         u, d, slope = self.velocities, self.deflections, np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]
         slope = np.vstack([slope[:1], slope, slope[-1:]])
-        first = np.concatenate([[0], np.arange(len(u))])  # the point from which each row of cells is measured
+        first = np.concatenate([[0], np.arange(len(u))])  # the point relative to which each row of cells is defined
         ends = np.stack([self.table[first] - slope * u[first, None], slope])  # a + c d and b + e d at the deflections
         return np.concatenate(_lines(d, ends))
 
     @cached_property
     def ratios(self) -> Array:
-        """The constant and the slope of r between deflections and beyond, shape (2, k + 1)."""
+        """Constant and slope of r between deflections and beyond them, shape (2, k + 1)."""
         return np.stack(_lines(self.deflections, self.ratio))
 
 
 def _lines(d: Array, values: Array) -> tuple[Array, Array]:
-    """Returns constants and slopes of the lines between the values at d, shape (..., k), which end flat; shapes (..., k + 1)."""
+    """Returns constants and slopes of the lines between values at d, shapes (..., k + 1).
+
+    Beyond the ends, the lines are constant.
+
+    Args:
+        d: arguments, ascending, shape (k,).
+        values: values at the arguments, shape (..., k).
+    """
     flat = np.zeros_like(values[..., :1])
     slope = np.concatenate([flat, np.diff(values) / np.diff(d), flat], axis=-1)
     first = np.concatenate([[0], np.arange(len(d))])
@@ -107,7 +121,7 @@ def _lines(d: Array, values: Array) -> tuple[Array, Array]:
 
 
 def surface_of(velocities: Array, deflections: Array, table: Array, words: str, ratio: Array | None = None) -> ForceSurface:
-    """Returns a surface with its section at deflection 0; see `ForceSurface`. Without a ratio r is 1."""
+    """Returns a surface with its section at deflection 0; see `ForceSurface`. Without `ratio`, r is 1."""
     r = np.ones(len(deflections)) if ratio is None else ratio
     at_rest = float(np.interp(0.0, deflections, r))
     x = velocities / at_rest

@@ -1,7 +1,8 @@
 """CSV files of a damper's force over velocity and deflection, in two forms.
 
-A sheet has deflections in its first row, velocities in its first column, and in its first cell the quantities with their units:
-`velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each, and a row for each pair of velocity and deflection.
+A sheet has deflections in its first row and velocities in its first column. Its first cell contains the quantities and their
+units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of
+velocity and deflection.
 """
 
 import re
@@ -18,17 +19,20 @@ from models.common.units import unit_named, unit_size
 NAMES = ("velocity", "deflection", "force")
 QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-PAIRS_PER_ROW = 4  # pairs of velocity and deflection per row: a list with more is not a table
+PAIRS_PER_ROW = 4  # largest number of pairs in a row; a list with more pairs is not a table of this type
 
 
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:
-    """Returns the table of a CSV file in SI units, positive in extension, sorted; None for another file, as of a measured loop.
+    """Returns the table of a CSV file in SI units, positive in extension, sorted.
+
+    Returns None for other files, such as a measured loop.
 
     Args:
+        text: content of the file.
         give: required content of the file, for messages.
 
     Raises:
-        InputError: a sheet has no units, or a list has not each pair once.
+        InputError: a sheet has no units, or a list does not contain each pair exactly once.
     """
     table = find_table(text, give)
     corner, across = _first_row(table)
@@ -64,11 +68,12 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force
     d = -d if directions["deflection"] < 0 else d
     i, j = np.argsort(v, kind="stable"), np.argsort(d, kind="stable")
-    return {name: (x + 0.0).tolist() for name, x in zip(NAMES, (v[i], d[j], force[np.ix_(i, j)]), strict=True)}  # no -0.0
+    # + 0.0 avoids -0.0
+    return {name: (x + 0.0).tolist() for name, x in zip(NAMES, (v[i], d[j], force[np.ix_(i, j)]), strict=True)}
 
 
 def _first_row(table: NumberTable) -> tuple[str, Array | None]:
-    """Returns the first cell of a sheet and the numbers behind it, of the line above the table; None for no sheet."""
+    """Returns the first cell of a sheet, and the numbers in the rest of its first row; None for other files."""
     above = [line for line in table.lines[: table.first] if line.strip()]
     row = above[-1].rsplit(table.separator.strip(" ") or None, table.count - 1) if above else []
     cells = [cell.strip(' "') for cell in row]

@@ -54,7 +54,7 @@ def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
         said: pairs of name and text.
 
     Returns:
-        The names with each text, in backticks, by text.
+        A mapping from each text to all names that have this text, in backticks and separated by commas.
     """
     alike: dict[str, list[str]] = {}
     for name, text in said:

@@ -37,7 +37,7 @@ SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
 LONGEST_UNIT = 3  # characters of an unknown unit
-MOST_BYTES = 500 * 10**6  # of a file; larger files would not fit into memory as text
+MOST_BYTES = 500 * 10**6  # size of a file; larger files would not fit into memory as text
 HALF_A_DAY = 43200.0  # s, after which 12-hour clocks start again
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
 MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in lower case
@@ -218,8 +218,8 @@ def table_text(path: Path) -> str:
     and a Parquet file (.parquet) its columns of numbers. Recordings (MDF4, .mf4, and MCAP, .mcap) give their channels.
 
     Raises:
-        InputError: the package for spreadsheets is not installed, or the file is too large. Also if several sheets contain a
-            table, or if a MATLAB or Parquet file contains no table.
+        InputError: the package for spreadsheets is not installed, or the file is too large. Also raised if several sheets
+            contain a table, or if a MATLAB or Parquet file contains no table.
     """
     suffix = path.suffix.lower()
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:

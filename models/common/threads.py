@@ -74,8 +74,8 @@ def side_by_side(
 ) -> Generator[tuple[int, Result]]:
     """Yields the number and the result of every piece of work, in the order of completion.
 
-    Pieces are taken when threads become free. They run in the context of the first call of `next`. A caller that stops early
-    must close the iterator, which abandons the running pieces and waits for them.
+    Pieces are taken when threads become free. Each piece runs in the Python context (`contextvars`) of the first call of
+    `next`. A caller that stops early must close the iterator, which abandons the running pieces and waits for them.
 
     Args:
         pieces: pieces of work. Long pieces should come first, so that all threads end at about the same time.

@@ -85,7 +85,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
         line: place of the item on whose line this body is; None for a body on its own lines.
 
     Returns:
-        Body and index of the key's item, and body and index of the item on whose line the key is.
+        Two places, each as a body and an index: the item of the key, and the item on whose line the key is.
     """
     from tomlkit.items import InlineTable
 

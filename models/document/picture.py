@@ -24,7 +24,7 @@ from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, S
 from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrap_at_spaces
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
-SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel; of the only panel in a file; width of a panel with bars
+SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # sizes of a panel and of the only panel in a file; width of a panel with bars
 EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture and of a panel
 ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above; height of the bar; width of a line in a legend
 BOLD = 1.12  # width of bold letters relative to normal letters

@@ -588,8 +588,8 @@ class VehicleKind(CheckedFields):
         """Returns all parameters in the order of the vehicle type, after checking each one and their combination.
 
         Raises:
-            InputError: any error of `check_each`, or the combination is not a valid vehicle. Also if a tyre is fully compressed
-                or has no contact with the road in equilibrium.
+            InputError: any error of `check_each`, or the combination is not a valid vehicle. Also raised if a tyre is fully
+                compressed or has no contact with the road in equilibrium.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)
@@ -602,7 +602,7 @@ class VehicleKind(CheckedFields):
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze <= 0:
-                raise InputError(f"{tyre}: this wheel is off the road at rest; move the masses that stand outside of the wheels")
+                raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move the masses between the wheels")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m, the masses' weight over the tyre's stiffness; at most {MOST_SQUEEZE} m "

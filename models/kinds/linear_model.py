@@ -254,7 +254,7 @@ class LinearModel:
     def geared(self, ratios: Array) -> "LinearModel":
         """Returns the model whose inputs act on the vehicle multiplied by a motion ratio each, shape (m,).
 
-        Output signals that are inputs are not multiplied.
+        Output signals that are control forces are not multiplied.
         """
         if np.all(ratios == 1):
             return self

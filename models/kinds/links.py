@@ -97,7 +97,7 @@ def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float,
 
     Args:
         p: parameters of the vehicle.
-        corners: names of the corners: an axle, with or without a side.
+        corners: names of the corners, such as "front" or "front_left".
         way: direction of the force: `roll_load` for a force to the right, `pitch_load` for a forward force.
         force: force on the body at its centre of mass [N]: inertial force or wind.
         acceleration: acceleration whose inertial force on the wheels has the same direction [m/s2]; 0 for wind.

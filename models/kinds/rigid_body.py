@@ -254,9 +254,8 @@ def linear_model(
         states: signals of the state (d, P t, q', z_u'), c + p + k + c of them.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals in this order: the states; the tyre deflections, unless they are states; and q''. Then velocity
-            and acceleration of the body above each corner, the control forces, and the accelerations of the wheels. Last, the
-            heights of the body, of the body above each corner, and of the wheels.
+        outputs: output signals: states, other tyre deflections, q'', velocity and acceleration of the body above each corner.
+            Then control forces, accelerations of the wheels, and heights: of the body, above each corner, of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -276,8 +275,7 @@ def linear_model(
     d_dot = S @ q_dot - z_u_dot
     f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # plus u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
-    # Acceleration of the modes due to the weight, as the body leans relative to level ground
-    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))
+    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # acceleration due to the weight of a leaning body
 
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
     B = np.vstack([np.zeros((c + p, c)), lift, -push])

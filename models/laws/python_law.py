@@ -68,7 +68,7 @@ class PythonLaw(LawSource):
 
     @property
     def with_article(self) -> str:
-        """Type of the law with an article."""
+        """Type of the law with an article, such as "an FMU"."""
         return f"{'an' if self.is_fmu else 'a'} {self.kind}"
 
     @property

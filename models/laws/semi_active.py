@@ -40,8 +40,9 @@ class LawCoefficients:
         sky: coefficients of the dampers between body and sky [N s/m], shape (N, m).
         ground: coefficients of the dampers between wheel and ground [N s/m], shape (N, m).
         stiffness: stiffness of the suspension springs [N/m], shape (N, m).
-        modes: two tuples of factors from the velocities of the body's b modes to the velocities at the suspensions, shapes
-            (b, N, m). The factors of the first tuple are multiplied by the sky damping of the mode relative to `sky`.
+        modes: factors from the velocities of the body's b modes to the velocities at the suspensions, as two tuples of b arrays
+            of shape (N, m). The factors in the first tuple are also multiplied by the sky damping of the mode, relative to
+            `sky`.
         mix: weight of skyhook in a hybrid law, 1 for skyhook alone and 0 for groundhook alone, shape (N, m).
         crossover: frequency of the mixed law, with skyhook below and ADD above [rad/s], shape (N, m).
         still: value that replaces a velocity of 0 [m/s].
@@ -242,7 +243,7 @@ class SemiActive(ControlLaw):
 
     @property
     def kind(self) -> str:
-        """Type of the law with an article."""
+        """Type of the law with an article, for sentences."""
         return "a semi-active law"
 
     @property

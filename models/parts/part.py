@@ -502,7 +502,7 @@ class Stack:
 
         Args:
             parts: k parts for each run, or the k parts of one run for any number of runs. They differ only in their numbers.
-            line: True to add the linearised force, without that of the input, to the nonlinear force.
+            line: True to include the linearised force of the parts, except the force of their inputs.
         """
         groups: list[tuple[list[Part], list[int]]] = []
         for i, row in enumerate(parts):

@@ -47,8 +47,8 @@ class Profile(MeasuredRoad):
         note: remark about the columns of the file, a phrase; empty without a remark.
 
     Raises:
-        InputError: distances do not ascend, a number is not finite, or there are too few points. Also if `join` is unknown, or
-            if a spline has a gap.
+        InputError: distances do not ascend, a number is not finite, or there are too few points. Also raised if `join` is
+            unknown, or if a spline has a gap.
     """
 
     distance: Array

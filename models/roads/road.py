@@ -354,7 +354,7 @@ class MeasuredRoad(Road):
     @property
     @abstractmethod
     def knots(self) -> Array:
-        """Times of the points [s], ascending. Between two of them, `departure` is a line or a cubic."""
+        """Times of the points [s], ascending. Between two points, `departure` is a line or a cubic."""
 
     @property
     def kinks(self) -> tuple[float, ...]:

@@ -81,7 +81,7 @@ class Multisine(Section, Road):
         """Returns the road scaled to a given peak magnitude at given times.
 
         Args:
-            height: magnitude of the largest height [m].
+            height: peak magnitude of the height [m].
             time: times at which the road is evaluated [s].
         """
         return self.scaled(height / float(np.abs(self.displacement(time)).max()))

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from models.common.errors import InputError
 from models.vehicle.controllers import ControllerEntry
 
-SAMPLED_REFUSAL = "a sampled controller returns only the sum of its samples to zero, so the integral has no norm"
+SAMPLED_REFUSAL = "a sampled controller drives only the sum of its samples to zero, so the norm of the integral is not finite"
 
 
 def check_integrals(

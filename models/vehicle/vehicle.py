@@ -712,22 +712,18 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     """Returns a vehicle from the text of a vehicle file.
 
     Args:
-        text: text of a vehicle file in TOML.
-        source: path of the file, for messages.
-        folder: folder that contains custom vehicle types and Python control laws. If None, only built-in vehicle types are
-            known, and Python control laws cannot run.
+        text, source: text of a vehicle file in TOML, and the path of this file for messages.
+        folder: folder with custom vehicle types and Python laws; None to allow only built-in types, and no Python law to run.
 
     Returns:
         The vehicle, with its parameters in SI units.
 
     Raises:
-        InputError: any error of `read_vehicle`; or the text names a file with a control law, because only `read_vehicle`
-            reads other files.
+        InputError: any error of `read_vehicle`; or the text refers to another file, which only `read_vehicle` reads.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle
-        >>> text = read_vehicle("quarter_car").text.replace("sprung_mass = 504.5", "sprung_mass = 600")
-        >>> parse_vehicle(text).parameters["sprung_mass"]
+        >>> parse_vehicle(read_vehicle("quarter_car").text.replace("= 504.5", "= 600")).parameters["sprung_mass"]
         600.0
     """
     given = read("", VehicleFile, parse_toml(text))

@@ -203,7 +203,7 @@ INTEGRAL = "{ numerator = [1.0], denominator = [1.0, 0.0] }"
             '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\ntolerance = { force = { weight = 0.1 } }\n',
             "depends on frequency",
         ),
-        ([PI], "[implementation]\nsample_period = 0.005\nsampled = true\n", "returns only the sum of its samples to zero"),
+        ([PI], "[implementation]\nsample_period = 0.005\nsampled = true\n", "drives only the sum of its samples to zero"),
         (
             [PI],
             '[implementation]\nsample_period = 0.005\nnoise = { suspension_deflection = 1e-3 }\n[controllers.q]\ndesign = "lqg"\n'

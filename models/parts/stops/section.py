@@ -37,8 +37,8 @@ class OfSides(Key):
         given = {side: one for side, one in value.items() if one is not None}  # a log contains null for a side without a stop
         if not given or not set(given) <= set(SIDES):
             raise InputError(
-                f"{HERE} = {short_repr(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a "
-                "number"
+                f"{HERE} = {short_repr(dict(value))} has neither bump nor rebound; give {{ bump = ..., rebound = ... }}, one "
+                "of these two, or a number"
             )
         return StopPair(*(below(f".{side}", self.one, given[side], context) if side in given else None for side in SIDES))
 

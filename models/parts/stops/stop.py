@@ -297,9 +297,9 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
 
 
 def _corner_key(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
-    """Returns the value of a key for the stops of a corner, from the section with the fewest corners that has this key.
+    """Returns the value of a key for the stops of a corner; None if no section has the key.
 
-    Returns None if no section has the key.
+    If several sections have the key, the section for the fewest corners counts.
     """
     values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
     return values.get(max(values, key=len, default=""))
