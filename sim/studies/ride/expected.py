@@ -8,7 +8,7 @@ two independent white sources. With the frequency response H of the implemented 
 
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
 A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is
-a function of the road frequency and includes the images. It contains |H e|^2 of each step, and the mean over the steps is the
+a function of the road frequency and includes the images: |H e|^2 of each step. The mean of this spectrum over the steps is the
 sum over the images (Parseval). Means over time are means over the steps. Spreads and largest values use the mean spectrum.
 
 The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
