@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3354   2255      0
+what all commands share: files, options, checks, tables of numbers   3354   2257      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6485   2031    346
+vehicle file, types, equations, MJCF                           6479   2031    346
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -41,13 +41,13 @@ laws in Python                                                  789    696    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            207    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1340    725    204
+semi-active dampers and laws                                   1350    725    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3468   1922    180
+curves of dampers and springs, statistical linearisation       3523   1922    180
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -144,7 +144,7 @@ gallery of papers                                               746    343     4
 margins in physics                                             2147    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-recommendation of a controller                                 1569    304    203
+recommendation of a controller                                 1767    417    211
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               2072    602     36
@@ -179,7 +179,7 @@ commands that drive                                            1127    989    37
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5750   2363
+house, pages, benchmarks                                          0   5746   2363
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
