@@ -121,9 +121,8 @@ def pages() -> dict[str, str]:
     }
 
 
-def kept_files() -> dict[str, str]:
-    """Returns the generated files that are kept in the repository, for readers on GitHub, by path below `docs/`."""
-    made = pages()
+def kept_files(made: Mapping[str, str]) -> dict[str, str]:
+    """Returns those of the generated `pages` that are kept in the repository, for readers on GitHub, and drawings and notebooks."""
     kept = {f"{name}.md": made[name] for name in ("examples", *(name for name in made if name.startswith("reference/")))}
     del kept["reference/messages.md"]  # ten times as long as the other pages, and changed by every new message
     return kept | drawings() | example_notebooks()
@@ -713,7 +712,7 @@ def notebook(path: Path) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """Writes the generated files that are kept in the repository, and the pictures of the examples that are named."""
-    for name, text in {**kept_files(), "reference/logs.md": log_page()}.items():
+    for name, text in {**kept_files(pages()), "reference/logs.md": log_page()}.items():
         (HERE / name).parent.mkdir(exist_ok=True)
         (HERE / name).write_text(text, encoding="utf-8", newline="\n")
     for name in arguments:

@@ -62,6 +62,15 @@ def test_every_page_is_in_a_table_of_contents(made):
     assert all(f"docs/{name}".startswith(GENERATED) for name in generate.drawings())
 
 
+def test_kept_files_are_fresh(made):
+    """Generated files in the repository are what the code generates; the notebooks have the code of the scripts."""
+    old = [name for name, text in generate.kept_files(made).items() if (DOCS / name).read_text(encoding="utf-8") != text]
+    assert old == [], "run python -m docs.generate"
+    for name in generate.EXAMPLES:
+        cells = json.loads((DOCS / "examples" / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+        assert "".join(cells[1]["source"]) == generate.example(name)[2].rstrip()
+
+
 def addresses(made) -> set[str]:
     """The addresses of all pages, below `docs/` without suffix."""
     return {Path(name).relative_to("docs").with_suffix("").as_posix() for name in SITE} | {*made, "reference/logs"}
