@@ -122,7 +122,7 @@ def pages() -> dict[str, str]:
 
 
 def kept_files(made: Mapping[str, str]) -> dict[str, str]:
-    """Returns those of the generated `pages` that are kept in the repository, for readers on GitHub, and drawings and notebooks."""
+    """Returns the files for readers on GitHub, which the repository keeps: most generated pages, drawings and notebooks."""
     kept = {f"{name}.md": made[name] for name in ("examples", *(name for name in made if name.startswith("reference/")))}
     del kept["reference/messages.md"]  # ten times as long as the other pages, and changed by every new message
     return kept | drawings() | example_notebooks()
