@@ -67,8 +67,8 @@ LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
 ENERGY: tuple[Field[Energy], ...] = (
     *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
-    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="exchanged [J]"),
-    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="residual"),
+    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]"),
+    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="left over"),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
 FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop

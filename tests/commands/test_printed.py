@@ -203,7 +203,7 @@ def test_help_pages(name, monkeypatch, capsys):
     printed = capsys.readouterr().out
     for options in (options for known, _, options in COMMANDS if known == name):
         assert all(re.search(rf"^  {option}\b", printed, re.M) for option in options.split())
-        assert f"python -m {name} " in page(printed.strip().splitlines()[-1].partition(": ")[2])
+        assert f"roadproof {re.split('[. ]', name)[-1]} " in page(printed.strip().splitlines()[-1].partition(": ")[2])
     assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
     for paragraph in re.findall(r"^(?!usage)(?:\S.*\n)+", printed.replace("\nexit code", "\n\nexit code"), re.M):
         assert wrap_text(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()

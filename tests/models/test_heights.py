@@ -118,7 +118,7 @@ def test_norm_with_a_filter_of_the_road(numerator):
     if numerator == [1.0]:
         assert controller.certificate.stable
         assert math.isinf(controller.certificate.norm.value)
-        assert study_notes(vehicle, controller)[1].endswith("causes a permanent control_force, suspension_deflection")
+        assert study_notes(vehicle, controller)[1].endswith("causes a constant control_force, suspension_deflection")
         return
     s = 1j * np.geomspace(0.01, 400, 40001)[:, None, None]
     x = np.linalg.solve(s * np.eye(4) - A, E) / (s + 2)

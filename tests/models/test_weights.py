@@ -59,7 +59,7 @@ def test_refused():
         transfer_function([1], [0, 0])
     with pytest.raises(InputError, match="not finite"):
         transfer_function([np.inf], [1])
-    with pytest.raises(InputError, match="with 2 outputs cannot feed one with 1 inputs"):
+    with pytest.raises(InputError, match="with 2 outputs cannot feed a system with 1 inputs"):
         series(gain(np.eye(2)), gain(1))
     with pytest.raises(InputError, match=r"B has shape \(1, 1\); expected \(1, 2\)"):
         StateSpace(np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 2)))

@@ -290,9 +290,7 @@ def test_who_is_best_over_all_runs(begun, small):
                 max(root_mean_square(row[f"dynamic_load{end}"] for row in some) for end in ends)
             )
             assert one["off_ground"] == pytest.approx(max(np.mean([row[f"off_ground{end}"] for row in some]) for end in ends))
-        least = min(one["peak_travel"] for one in entry["controllers"])
-        leaders = [one["controller"] for one in entry["controllers"] if one["peak_travel"] == least]
-        assert set(leaders) <= set(entry["best"]["peak_travel"])
+        assert not any(entry["best"].values())  # `I` has a disk margin below 0.3, and there is no other controller than passive
 
 
 def test_columns_say_what_they_are(begun):

@@ -299,7 +299,7 @@ def test_measurements_that_do_not_fit(Cy, message):
     ("change", "message"),
     [
         ({"disturbances": ["rain"]}, "unknown disturbance 'rain'; the system has control_force, road_velocity"),
-        ({"disturbances": []}, "no disturbance is named"),
+        ({"disturbances": []}, "no disturbance is given"),
         ({"performance": {"noise": 1.0}}, "unknown performance signal 'noise'"),
         ({"performance": {"tyre_deflection": 0.0}}, "the weights are all zero"),
         ({"measured": ["speed"]}, "unknown measured signal 'speed'"),
