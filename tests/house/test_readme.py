@@ -102,7 +102,7 @@ def test_any_plant(capsys):
 
 def test_a_certificate_is_checked_without_roadproof(tmp_path, monkeypatch, capsys):
     """The page's commands write a certificate, and the program beside it proves what the page shows."""
-    one = section("docs/explanation/bound-norm-lower-bound.md", "Check a certificate by yourself")
+    one = section("docs/explanation/bound-norm-lower-bound.md", "Check a certificate yourself")
     write, check = one.blocks("sh")[0].splitlines()
     monkeypatch.chdir(tmp_path)
     assert main_of("synth")(write.split()[2:]) == 0
@@ -262,7 +262,7 @@ def test_table_of_commands(capsys):
 def test_every_room_has_a_line():
     """The pages name the rooms that there are."""
     for floor in ("models", "sim", "synth"):
-        found = {row[0].strip("`/") for row in rows(section(f"{floor}/README.md", "The rooms").text)}
+        found = {row[0].strip("`/") for row in rows(section(f"{floor}/README.md", "The folders").text)}
         assert found == {path.parent.name for path in (ROOT / floor).glob("*/__init__.py")}
 
 
