@@ -152,7 +152,7 @@ class RatioSection(TableSection):
     of: ClassVar[str] = RATIO
 
     deflection: Annotated[tuple[float, ...], DEFLECTION] | None = None
-    ratio: Annotated[tuple[float, ...], replace(FORCE, meaning="motion ratio at each of these", each=SI("1"))] | None = None
+    ratio: Annotated[tuple[float, ...], replace(FORCE, meaning="motion ratio at each deflection", each=SI("1"))] | None = None
 
 
 def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:

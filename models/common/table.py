@@ -165,7 +165,10 @@ class NumberTable:
                 integers = integers or (number != 0 and "," not in cell)
             lines.append(line)
         if [*marked] == [","] and thousands and integers:
-            raise InputError(f"{marked[',']}, which may be thousands; write numbers without thousands marks, decimals with a dot")
+            raise InputError(
+                f"{marked[',']}, which may be a thousands separator; write numbers without thousands separators, "
+                f"and decimals with a dot"
+            )
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
     def seconds(self, heading: Heading, default: str = "") -> Array:

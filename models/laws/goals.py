@@ -146,7 +146,7 @@ class PeakBound(Section):
 
     peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal, allowed=TEXT)]
     at_most: AtMost
-    road: Annotated[str, Text("road, as of `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
+    road: Annotated[str, Text("road, as for `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
     speed: Annotated[float, SI("m/s", "speed of the vehicle; 12.5 m/s without this key", 0.1, 200.0)] | None = None
 
 
@@ -155,10 +155,12 @@ class EnergyBound(Section):
     """Upper bound on the peak magnitude of a signal over all roads with a given energy."""
 
     energy_peak: Annotated[
-        str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal, allowed=TEXT)
+        str, ReadBy("signal whose largest magnitude over all roads of a given energy has a bound", _signal, allowed=TEXT)
     ]
     at_most: AtMost
-    energy: Annotated[float, SI("m2/s", "integral of the squared velocity under all wheels together", SMALLEST)] = 1.0
+    energy: Annotated[
+        float, SI("m2/s", "energy of the road: integral of its squared velocity, summed over all wheels", SMALLEST)
+    ] = 1.0
 
 
 @dataclass(frozen=True)
@@ -249,7 +251,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
         if not any(used):
             raise InputError(
-                f"{what}, but {signal!r} belongs to no corner; measure signals with the endings of the forces "
+                f"{what}, but {signal!r} is not from a corner; measure signals with the endings of the forces "
                 f"{list_names(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
             )
     for force, row in zip(corners, rows, strict=True):

@@ -111,7 +111,7 @@ class StructureSection(Goals):
                 "only filter in pid"
             )
         if self.structure == PI and pid.filter is not None:
-            raise InputError(f"{what} has no derivative, but the key pid sets a filter for one; omit pid")
+            raise InputError(f"{what} has no derivative, but the key pid sets the filter of a derivative; omit pid")
         if self.structure == PID and pid.filter is None:
             raise InputError(
                 f"{what} needs the time constant of the derivative's low-pass filter; give it in seconds, as in "

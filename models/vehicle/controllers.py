@@ -151,7 +151,7 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
                 f"{measurable}"
             )
     if study and not set(value) & set(context["heights"]):
-        raise InputError(f"{HERE} contains no height above a flat datum, but the section has study = true; omit study")
+        raise InputError(f"{HERE} contains no height above a flat datum, and only such heights need study = true; omit study")
     return tuple(value)
 
 
@@ -206,7 +206,9 @@ class GivenSection(SignalSection):
     noise: Annotated[bool, Flag("design for the noise of `[implementation]`", " (other sections define the amount)")] = False
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
     sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
-    loads: Annotated[Mapping[str, float], BySignal("loads that count as much as 1 m/s of road", "loads", SMALLEST)] | None = None
+    loads: (
+        Annotated[Mapping[str, float], BySignal("loads that count as much as a road velocity of 1 m/s", "loads", SMALLEST)] | None
+    ) = None
     actuators: (
         Annotated[str, Choice("force actuators instead of semi-active dampers", (PUSHING_ACTUATORS,), OTHERWISE)] | None
     ) = None
@@ -340,8 +342,8 @@ def _entry(
         )
     if asked.design == PREVIEW and dampers:
         raise InputError(
-            f'design = "{PREVIEW}" acts before the road does, but semi-active dampers only resist motion; choose another design, '
-            "or omit [actuators]"
+            f'design = "{PREVIEW}" applies forces before the wheels reach a bump, but semi-active dampers only resist motion; '
+            "choose another design, or omit [actuators]"
         )
     request = DesignRequest(
         design=FULL if asked.order == FULL else asked.design or "",

@@ -132,8 +132,8 @@ class VehicleFile(Section):
 SECTIONS = tuple(keys(VehicleFile))
 LIFTED, FASTEST = "height", 1e3  # key of the drop height in `[start]`; largest value allowed there [SI]
 PERSON = (
-    " is the acceleration of a mass above the body, so its ride is that of a person; name the points with a person as people in "
-    "KIND of"
+    " is the acceleration of a mass above the body, so its ride is evaluated like the ride of a person; list the points with "
+    "a person under people in KIND of"
 )
 
 

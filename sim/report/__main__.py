@@ -335,14 +335,16 @@ def _parser() -> Parser:
     parser.add_argument(
         "--one-page", action="store_true", help="write only the comparison over the road (default: class C) on one page of A4"
     )
-    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: a few seconds instead of 20 s")
+    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride; takes a few seconds instead of 20 s")
     parser.add_argument(
         "--front",
         metavar="AXES",
         help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
         "MuJoCo runs of some designs; takes half a minute more",
     )
-    parser.add_exported("add the exported code in this folder of python -m synth --export, and its effect")
+    parser.add_exported(
+        "describe the exported code in this folder, which python -m synth --export wrote, and its effect on the run"
+    )
     add_road(parser, "none")
     parser.add_number("--duration", 20.0, "s", "duration of the run over the road")
     parser.add_loads("add a load on a flat road; with --road or --class it acts there, too", LOAD_SYNTAX)

@@ -105,7 +105,7 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
         return ()
     which = "is below" if norm.reached > norm.upper else "differs from"
-    reached = f"the gain that a disturbance reaches, by a relative {APART.cell(norm)}"
+    reached = f"the gain that a disturbance reaches, by {APART.cell(norm)} (relative)"
     return (f"the sampled norm {NORM_AS_IMPLEMENTED.cell(norm)} {which} {reached}",)
 
 
@@ -277,8 +277,8 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     """Returns notes about the filters in z and w and their poles, if there are filters."""
     if not vehicle.filtered:
         return []
-    texts = [f"{row.name} through {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
-    texts += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
+    texts = [f"{row.name} filtered by {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
+    texts += [f"w filtered by {vehicle.road_filter.words} to get the road's velocity"] if vehicle.road_filter is not None else []
     states = vehicle.road_filter is not None or any(name.startswith("filter_of_") for name in plant_states(vehicle))
     poles = "; the poles of these filters do not depend on control and are not listed" if states else ""
     lines = [f"norms include filters: {', '.join(texts)}{poles}"]

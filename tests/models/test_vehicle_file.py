@@ -102,7 +102,7 @@ ADDED = {
         ("tolerance = { force = { numerator = [1.0], denominator = [1.0, 1.0] } }", "give the largest relative error"),
     ],
     ("half_car", "[controllers.mine]"): [
-        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "belongs to no corner")
+        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "is not from a corner")
     ],
     ("quarter_car", ""): [
         *(
@@ -123,7 +123,10 @@ ADDED = {
         ('kind = "damper"\nc_max = 4e3', "c_min is missing; give c_min and c_max"),
         ('kind = "damper"\nc_min = 4e3\nc_max = 4e3', "c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
         ('kind = "damper"\nc_min = nan\nc_max = 4e3', "c_min = nan is not allowed; give a number from 0 to"),
-        ('kind = "damper"\nc_min = 500.0\nc_max = 4e3', "suspension_damping = 400 N s/m, which acts without a command, is out"),
+        (
+            'kind = "damper"\nc_min = 500.0\nc_max = 4e3',
+            "suspension_damping = 400 N s/m, the damping without a command, is not between",
+        ),
         ("c_min = 300.0", 'has c_min without kind = "damper"'),
     ],
     ("quarter_car", DAMPER): [
@@ -158,7 +161,10 @@ ADDED = {
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
-        ('design = "preview"\npreview = 0.5', "acts before the road does, but semi-active dampers only resist motion"),
+        (
+            'design = "preview"\npreview = 0.5',
+            "applies forces before the wheels reach a bump, but semi-active dampers only resist motion",
+        ),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix' (this law has no keys)"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured' (its keys are"),
         ('semi_active = "skyhook_modal"', "needs a body that pitches or rolls"),
@@ -175,7 +181,7 @@ ADDED = {
             "[limits.middle] is not a suspension",
             "front, front_left, front_right, rear",
         ),
-        ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
+        ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "applies to all suspensions"),
         ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
         ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
     ],
@@ -185,7 +191,7 @@ ADDED = {
         ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),
         ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
-        ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
+        ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, because there is only one suspension"),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         (
             "stop = { compression = [0.02, 0.03], force = [0, 500] }\nsuspension_stroke = 0.07",

@@ -154,7 +154,7 @@ def test_an_end_at_once_is_said_in_the_short_verdict():
 
     [one] = run(parse_vehicle(read_vehicle("quarter_car").text + "\n[limits]\nactuator_force = 100.0\n"), Full(), ROAD, 0.2)
     assert one.agreement.until == 0
-    assert "nothing is compared with linear analysis, which applies until 0 s (" in verdict(one).text
+    assert "there is no comparison with linear analysis, which applies only until 0 s (" in verdict(one).text
 
 
 class Timed(Proportional):

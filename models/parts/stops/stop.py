@@ -243,7 +243,7 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
     known, places = places_of(corners), {"": common}
     for name, value in own.items():
         if name not in known:
-            has = f"sections {list_names(known)}" if known else "no sections, for there is one suspension"
+            has = f"sections {list_names(known)}" if known else "no sections, because there is only one suspension"
             raise InputError(
                 f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {list_names(STOP_NAMES)}"
             )

@@ -38,21 +38,26 @@ examples:
 
     def add_options(self, parser: Parser) -> None:
         parser.add_argument("files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log of bump or drive (.mcap)")
-        parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with first values")
+        parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with initial values")
         parser.add_argument("--signals", type=Path, metavar="MAP", help="map of columns to signals (TOML)")
         parser.add_argument("--columns", action="store_true", help="print a first map from the headings of the logs, and stop")
         parser.add_argument("--fix", action="append", default=[], metavar="NAME", help="parameter that keeps its value")
         parser.add_argument("--free", action="append", default=[], metavar="NAME", help="further parameter to estimate")
         parser.add_argument(
-            "--hold-out", action="append", type=Path, default=[], metavar="LOG", help="log that is only predicted"
+            "--hold-out",
+            action="append",
+            type=Path,
+            default=[],
+            metavar="LOG",
+            help="log that is predicted, but not used for the estimate",
         )
         parser.add_argument(
-            "--controllers", action="store_true", help="also certify all controllers on the vehicles that the logs allow"
+            "--controllers", action="store_true", help="also certify all controllers for the vehicles that agree with the logs"
         )
         parser.add_argument("--plan", action="store_true", help="print chirps that would determine the parameters best, and stop")
         parser.add_argument("--out", type=Path, metavar="FILE", help="write the identified vehicle (.toml)")
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and predicted signals; needs matplotlib")
-        parser.add_count("--seed", "seed of further starts", "0", 0, 2**31, 0)
+        parser.add_count("--seed", "seed of further starting points of the search", "0", 0, 2**31, 0)
         parser.add_printed("shares of correlations outside their bounds")
 
     def check(self, request: StudyRequest) -> None:
@@ -61,7 +66,7 @@ examples:
         options = request.options
         check_outputs({"vehicle": options.out}, [*options.files, *options.hold_out], options.json)
         if not options.files and not options.plan:
-            raise InputError("no log is given; give the file of one, or --plan for a test that is not driven yet")
+            raise InputError("no log is given; give a log file, or --plan to plan a test")
         if options.columns and options.plan:
             raise InputError("--columns and --plan print different results; give one of them")
         if (options.columns or options.plan) and options.picture is not None:

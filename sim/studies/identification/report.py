@@ -100,7 +100,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
         elif name in estimate.held:
             rows.append(ParameterRow(name, unit, first, None, None, None, "not determined: see the products"))
         elif name in estimate.silent:
-            rows.append(ParameterRow(name, unit, first, None, None, None, "no signal feels it"))
+            rows.append(ParameterRow(name, unit, first, None, None, None, "no measured signal depends on it"))
         else:
             rows.append(ParameterRow(name, unit, first, None, None, None, f"only {product_words(estimate.ratios[name])}"))
     return rows
@@ -161,13 +161,14 @@ def statements(of: Identification) -> Iterator[Statement]:
     if estimate.directions:
         scale = [one for one in estimate.directions if {round(abs(power), 6) for power in one.powers.values()} == {1.0}]
         yield Statement(
-            f"The logs do not determine {list_names(estimate.held)} with all others: {SCALE}."
+            f"The logs cannot determine {list_names(estimate.held)} together with all other parameters: {SCALE}."
             if scale
-            else f"The logs do not determine {list_names(estimate.held)} with all others; fix one, or measure another signal.",
+            else f"The logs cannot determine {list_names(estimate.held)} together with all other parameters; fix one of them, "
+            f"or measure another signal.",
             "ends",
         )
     for name in estimate.silent:
-        yield Statement(f"No signal feels {name}; it keeps its first value.", "ends")
+        yield Statement(f"No measured signal depends on {name}; it keeps its initial value.", "ends")
     for name in estimate.undetermined:
         if name in of.intervals:
             yield Statement(f"{name} is not determined in practice: its interval is wider than a factor of 7 each way.", "ends")
@@ -187,8 +188,8 @@ def statements(of: Identification) -> Iterator[Statement]:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
     else:
         yield Statement(
-            "The residuals are not white: the vehicle lacks something that the logs contain. Intervals count the residuals as "
-            "coloured, but cannot count a bias.",
+            "The residuals are not white: the vehicle lacks something that the logs contain. The intervals account for "
+            "coloured residuals, but they cannot account for a bias.",
             "fails",
         )
     for cause in of.causes[:3]:
@@ -201,7 +202,7 @@ def describe(of: Identification) -> Document:
     caption = "values and 95 % intervals of the free parameters"
     blocks: list[Any] = [Table.of("parameters", caption, PARAMETERS, rows, words=2)]
     if ratios:
-        blocks.append(Table.of("products", "what the logs determine instead", PRODUCTS, ratios))
+        blocks.append(Table.of("products", "combinations of parameters that the logs do determine", PRODUCTS, ratios))
     caption = "fit: share of a signal's rms that the vehicle explains; p below 0.001: residuals are not white"
     blocks.append(Table.of("sensors", caption, SENSORS, sensor_rows(of), words=3))
     blocks += [*statements(of)]
@@ -220,7 +221,8 @@ def describe(of: Identification) -> Document:
             if one.worst_bound is not None:
                 blocks.append(
                     Statement(
-                        f"`{one.name}` has a proved norm below {WORST_BOUND.digits(one.worst_bound)} on each of these.", "holds"
+                        f"`{one.name}` has a proved norm below {WORST_BOUND.digits(one.worst_bound)} on each of these vehicles.",
+                        "holds",
                     )
                 )
     blocks += notes(*of.remarks)
@@ -291,7 +293,7 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
     held = {name: "not determined: the logs give only its products with others" for name in estimate.held}
-    held |= {name: "no signal feels it" for name in estimate.silent}
+    held |= {name: "no measured signal depends on it" for name in estimate.silent}
     content: dict[str, Any] = {
         "intervals": intervals,
         "fixed": held,

@@ -123,7 +123,9 @@ examples:
         saved = None if result.interrupted or request.options.save is None else result.saved
         written = written_lines({"save": saved and request.options.save})
         if saved is not None and saved is not result.best:
-            written.append(f"The file contains {saved.candidate.name}: the best controller needs the road ahead, or Python.")
+            written.append(
+                f"The file contains {saved.candidate.name}, because the best controller needs the road ahead, or Python."
+            )
         title = title_lines(self.title(request, result), result.task.vehicle.source)
         return [*title, *text_lines(self.describe(request, result)), *written]
 

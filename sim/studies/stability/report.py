@@ -266,7 +266,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else below
     rows.append(Row(f"phase lag{of} [rad]", *_values(PHASE, one), note, usual=_degrees(predicted.phase)))
     if (least := predicted.smallest_phase) < predicted.phase * (1 - 1e-9):
-        note = "at another crossover than that of the delay"
+        note = "at a different crossover than the delay"
         rows.append(Row(f"smallest phase lag{of} [rad]", least, note=note, extra=True, usual=_degrees(least)))
     note = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else below
     rows.append(Row(f"phase lead{of} [rad]", predicted.lead, note=note, usual=_degrees(predicted.lead)))

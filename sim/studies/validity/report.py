@@ -121,7 +121,9 @@ def describe(cells: Cells) -> Document:
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
         texts.append(f"In {SHARE.text(away)} of these runs, the states of the law overflow, so the law requests no finite force.")
     if cells.short:
-        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map includes the dampers.")
+        texts.append(
+            f"Linear analysis is not valid at any height: {cells.short}. The limits in the map are predicted with these dampers."
+        )
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
 
@@ -153,7 +155,10 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
         f"Linear analysis{' with the slopes at equilibrium' * maps[0].vehicle.parts.nonlinear} holds in a run if it is within "
         f"{THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
-    caption = "Shares of cells by first predicted limit, and of MuJoCo's runs where analysis holds, or that are as predicted."
+    caption = (
+        "Shares of cells by first predicted limit, and shares of MuJoCo's runs in which linear analysis holds, or which "
+        "are as predicted."
+    )
     figures = (replace(envelope_figure(one), name=f"map-{one.controller.name}") for one in maps)
     blocks = (*verdicts(maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
     return Document("Range of linear analysis over height and speed", blocks)
