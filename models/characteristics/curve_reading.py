@@ -398,8 +398,9 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
                 break
         else:
             raise InputError(
-                f"needs {len(ends) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
-                f"{MOST_LINES + AT_REST} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
+                f"needs {len(ends) - 1} straight lines for an error within {100 * error:g} % of its largest force, but at "
+                f"most {MOST_LINES + AT_REST} are allowed; smooth the table, or give a larger fit_error, up to "
+                f"{LARGEST_ERROR:g}"
             )
         words += f" replaced by {len(ends) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
         return ends, forces, words

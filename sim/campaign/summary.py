@@ -71,7 +71,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         chosen: a candidate of each vehicle that its table always contains; None for no such candidate.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
-    begins = f", random roads from {campaign.settle:g} s on (settle)" if settles else ""
+    begins = f", random roads measured from {campaign.settle:g} s on (settle)" if settles else ""
     for vehicle, every in scores.items():
         shown = {chosen.get(vehicle)}
         for one in FIELDS:
@@ -209,7 +209,7 @@ def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
         if kept:
             off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
             where = "On roads without such runs, the rms ride" if left else "The rms ride"
-            said.append(f"{of}{where} is within {percent(off)} of its predicted value, a mean over random roads.")
+            said.append(f"{of}{where} is within {percent(off)} of its predicted value, which is a mean over random roads.")
         blocks += notes(*said, *_remarks(whole))
     places = itertools.groupby(entries, lambda entry: (entry["vehicle"], entry["road"], entry["speed"]))
     return Document("", (*blocks, *(_place(*place, [*here]) for place, here in places)))

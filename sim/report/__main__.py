@@ -328,7 +328,9 @@ def _parser() -> Parser:
     parser = Parser("sim.report", "Write one HTML page about a vehicle file and its controllers.", EPILOG)
     parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", "a page for each and one table")
     parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="page (default: report-VEHICLE.html, report-gallery.html)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="file of the page (default: report-VEHICLE.html, report-gallery.html)"
+    )
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )

@@ -431,7 +431,9 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     if wrong:
         size, own = f"{size} of a peak{small} ({worst})", DIFFERENCE.digits(signal.allowed)
         if agreement.follows_linear:  # the checks of steps and commands determine the verdict
-            yield Statement(f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding make {own}")
+            yield Statement(
+                f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding account for {own}"
+            )
         else:
             wrong_by = f"the largest difference is {size}, {own} is allowed"
             yield Statement(f"MuJoCo DOES NOT AGREE with {what} {_when(run)}: {wrong_by}", "fails")

@@ -225,7 +225,7 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     texts = [] if vehicle.ideal else [f"{OF} the ideal loop: continuous, without [limits] and [implementation]{but}."]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         lag = ", and without the lag of their valves" if any(one.damper.bandwidth for one in vehicle.parts.adjustable) else ""
-        texts.append(f"{OF} a loop whose semi-active dampers give every force{lag}.")
+        texts.append(f"{OF} a loop whose semi-active dampers can supply every requested force{lag}.")
     return [*texts, *line_notes(vehicle)]
 
 
@@ -265,7 +265,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     notes += [f"WARNING: small {margins.small}"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
-        follows = f"when forces are clipped, the states of the law follow the clipped forces at {rate:g} 1/s or faster"
+        follows = f"when forces are clipped, the states of the law follow the clipped forces at a rate of {rate:g} 1/s or faster"
         notes.append(f"anti-windup: {follows if controller.law.states else 'none, as this law has no states'}")
     return notes
 
@@ -315,13 +315,13 @@ def judged_lines(controller: Controller) -> list[str]:
     texts = [FEEDBACK_ALONE] if controller.preview is not None else []
     texts += [f"norm and bounds include noise: an rms of {noise} counts {as_road}"] if noise else []
     if loads:
-        omit = "sampled norms, and norms that sim.sweep measures, include no loads"
+        omit = "sampled norms, and norms that sim.sweep measures, do not include loads"
         texts.append(f"norm and bounds include loads: {loads} each count {as_road}; {omit}")
     if controller.law.states and controller.law.sample_period is not None:
         texts.append("the law is discrete: norm, bounds and poles are those of its continuous counterpart (Tustin's method)")
     if hardware.bandwidth is not None:
         lag = f"the actuators' lag, {hardware.bandwidth:g} rad/s"
-        texts.append(f"norm, bounds and poles include {lag}; the force in z is the commanded one")
+        texts.append(f"norm, bounds and poles include {lag}; the force in z is the commanded force")
     return texts
 
 

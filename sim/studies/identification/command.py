@@ -37,12 +37,18 @@ examples:
     stages = ("logs and estimate",)
 
     def add_options(self, parser: Parser) -> None:
-        parser.add_argument("files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log of bump or drive (.mcap)")
+        parser.add_argument(
+            "files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log that bump or drive wrote (.mcap)"
+        )
         parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with initial values")
         parser.add_argument("--signals", type=Path, metavar="MAP", help="map of columns to signals (TOML)")
-        parser.add_argument("--columns", action="store_true", help="print a first map from the headings of the logs, and stop")
-        parser.add_argument("--fix", action="append", default=[], metavar="NAME", help="parameter that keeps its value")
-        parser.add_argument("--free", action="append", default=[], metavar="NAME", help="further parameter to estimate")
+        parser.add_argument(
+            "--columns", action="store_true", help="print a first map, guessed from the headings of the logs, and stop"
+        )
+        parser.add_argument(
+            "--fix", action="append", default=[], metavar="NAME", help="parameter that keeps its value and is not estimated"
+        )
+        parser.add_argument("--free", action="append", default=[], metavar="NAME", help="additional parameter to estimate")
         parser.add_argument(
             "--hold-out",
             action="append",
@@ -54,11 +60,13 @@ examples:
         parser.add_argument(
             "--controllers", action="store_true", help="also certify all controllers for the vehicles that agree with the logs"
         )
-        parser.add_argument("--plan", action="store_true", help="print chirps that would determine the parameters best, and stop")
+        parser.add_argument(
+            "--plan", action="store_true", help="print the chirps that would determine the parameters best, and stop"
+        )
         parser.add_argument("--out", type=Path, metavar="FILE", help="write the identified vehicle (.toml)")
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and predicted signals; needs matplotlib")
         parser.add_count("--seed", "seed of further starting points of the search", "0", 0, 2**31, 0)
-        parser.add_printed("shares of correlations outside their bounds")
+        parser.add_printed("shares of correlations of the residuals that are outside their bounds")
 
     def check(self, request: StudyRequest) -> None:
         from models.document.outputs import check_outputs

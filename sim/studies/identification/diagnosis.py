@@ -178,8 +178,8 @@ def _gain_words(signal: str, coefficient: float) -> str:
     factor = 1 + coefficient
     if abs(factor + 1) < NEAR:
         return f"{signal} with the opposite sign"
-    named = next((f": it seems to be {words}" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
-    return f"{signal} as {brief(factor)} times what its unit says{named}"
+    named = next((f" (it seems to be {words})" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
+    return f"{signal} scaled by a factor of {brief(factor)}{named}"
 
 
 def _lag(of: Estimate, signal: str) -> float:

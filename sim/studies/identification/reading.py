@@ -82,7 +82,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     within = (log.time >= keys.first) & (log.time <= keys.last)
     if within.sum() < LEAST:
         raise InputError(
-            f"{int(within.sum())} samples are from first to last, but at least {LEAST} are needed; change first "
+            f"only {int(within.sum())} samples are between first and last, but at least {LEAST} are needed; change first "
             f"and last in the map"
         )
     within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False

@@ -171,17 +171,21 @@ def statements(of: Identification) -> Iterator[Statement]:
         yield Statement(f"No measured signal depends on {name}; it keeps its initial value.", "ends")
     for name in estimate.undetermined:
         if name in of.intervals:
-            yield Statement(f"{name} is not determined in practice: its interval is wider than a factor of 7 each way.", "ends")
+            yield Statement(
+                f"{name} is not determined in practice: its interval extends by more than a factor of 7 in each direction.",
+                "ends",
+            )
     if of.mirror:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
-            f"Another vehicle fits as well: {values}. These signals cannot tell suspension and tyre apart; measure the hub.",
+            f"Another vehicle fits equally well: {values}. These signals cannot distinguish the suspension from the tyre; "
+            f"measure the hub.",
             "ends",
         )
     if estimate.noiseless:
         largest = at_most(max(estimate.noiseless.values()))
         words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
-        yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms: there is no noise to test.", "holds")
+        yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms, so there is no noise to test.", "holds")
     if {*estimate.noiseless} == {*estimate.problem.signals}:
         pass
     elif estimate.white:
@@ -193,7 +197,9 @@ def statements(of: Identification) -> Iterator[Statement]:
             "fails",
         )
     for cause in of.causes[:3]:
-        yield Statement(f"The residuals contain {cause.words}, which explains {percent(cause.share)} of their squares.", "ends")
+        yield Statement(
+            f"The residuals contain {cause.words}. This explains {percent(cause.share)} of the squares of the residuals.", "ends"
+        )
 
 
 def describe(of: Identification) -> Document:
@@ -215,7 +221,10 @@ def describe(of: Identification) -> Document:
             Statement(f"MuJoCo differs from the prediction by at most {at_most(of.in_mujoco[worst])} of a peak ({worst}).")
         )
     if of.allowed:
-        caption = f"controllers on {of.allowed[0].vehicles} vehicles: the estimate, and the ends of the axes of the 95 % ellipse"
+        caption = (
+            f"controllers on {of.allowed[0].vehicles} vehicles: the estimated vehicle, and the vehicles at the ends of "
+            f"the axes of the 95 % confidence ellipse"
+        )
         blocks.append(Table.of("controllers", caption, ALLOWED, of.allowed))
         for one in of.allowed:
             if one.worst_bound is not None:
@@ -233,8 +242,14 @@ def describe_plans(each: Sequence[ChirpPlan]) -> Document:
     """Describes plans: chirps, and the standard deviation of each parameter with the best one."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
-    caption = "chirps of a rig's posts, with the largest relative standard deviation of a parameter"
-    return Document("Plan", (Table.of("plans", caption, PLANS, each), *notes(f"The first chirp determines: {', '.join(rows)}.")))
+    caption = "chirps for the posts of a rig, with the largest relative standard deviation of a parameter"
+    return Document(
+        "Plan",
+        (
+            Table.of("plans", caption, PLANS, each),
+            *notes(f"Relative standard deviations with the first chirp: {', '.join(rows)}."),
+        ),
+    )
 
 
 def record(of: Identification) -> dict[str, Any]:
@@ -292,7 +307,7 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     replaced += [Replacement(("parts", part, key), {key: values[f"{part}.{key}"]}) for part, key in paths]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
-    held = {name: "not determined: the logs give only its products with others" for name in estimate.held}
+    held = {name: "not determined: the logs give only its products with other parameters" for name in estimate.held}
     held |= {name: "no measured signal depends on it" for name in estimate.silent}
     content: dict[str, Any] = {
         "intervals": intervals,

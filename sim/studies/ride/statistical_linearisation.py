@@ -316,8 +316,8 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     )
     if rest is not None and rest.sharp:
         accuracy = (
-            f"The straight lines do not explain {percent(rest.share)} of the variance of a force, so accelerations use only "
-            f"the lines. "
+            f"The straight lines do not explain {percent(rest.share)} of the variance of a force, so expected accelerations "
+            f"are computed from these lines alone. "
         )
         friction = "As with friction, rms is exact to 3 %, and dynamic load is up to 8 % too low"
     else:

@@ -111,7 +111,7 @@ def describe(cells: Cells) -> Document:
     rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
-        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis"
+        f"MuJoCo simulated {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis"
         f"{' with the slopes at equilibrium' * cells.vehicle.parts.nonlinear} is within "
         f"{THRESHOLD.text(cells.threshold)} of every peak."
     ]
@@ -215,7 +215,10 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
     if confirmed:
         off = at_most(max(end.error for end in confirmed))
-        text += f" MuJoCo{noise} ran bumps {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no limit is reached, "
+        text += (
+            f" MuJoCo{noise} simulated bumps that are {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no "
+            f"limit is reached, "
+        )
         which = NONLINEAR if vehicle.parts.nonlinear else "analysis"
         text += f"and {which} is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
