@@ -63,7 +63,7 @@ def check(p: Parameters) -> None:
     if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
         raise InputError(
             f"centre_offset = {offset:g} m is not between the wheels, which are {p['track'] / 2:g} m from the middle; give a "
-            f"smaller offset"
+            "smaller offset"
         )
     rigid_body.check_stands(_body(p))
 

@@ -113,18 +113,18 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING_DISTANCE * largest))[:1].tolist():
         raise InputError(
             f"at {x[i]:g} m/s, the force is {low[i]:g} N for c_min and {high[i]:g} N for c_max; c_max must be the firmest "
-            f"setting, with a larger force than c_min at every velocity"
+            "setting, with a larger force than c_min at every velocity"
         )
     if not soft.slope < hard.slope:
         raise InputError(
             f"at velocity 0, the slope is {soft.slope:g} N s/m for c_min and {hard.slope:g} N s/m for c_max; c_max must be "
-            f"the firmest setting, with the larger slope"
+            "the firmest setting, with the larger slope"
         )
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
         if hard.slopes[end] < soft.slopes[end] - TOUCHING_DISTANCE * abs(soft.slopes[end]):
             raise InputError(
                 f"{side}, c_min and c_max continue with slopes of {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, so "
-                f"they cross; "
+                "they cross; "
                 "change the outermost points so that the curves do not cross"
             )
     return pair

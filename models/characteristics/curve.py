@@ -127,7 +127,7 @@ class ForceCurve:
         if not low < more < high:
             raise InputError(
                 f"its table covers loads of {low:.4g} to {high:.4g} N more than at rest, but {more:.4g} N more "
-                f"are needed; extend the table"
+                "are needed; extend the table"
             )
         i = int(np.flatnonzero((own.force[:-1] <= -more) & (own.force[1:] >= -more))[0])
         rest = float(np.interp(-more, own.force[i : i + 2], own.x[i : i + 2]))

@@ -173,7 +173,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         missing = [role for role in LOG if not by_role[role]] or [f"only one of {role}" for role in LOG if len(by_role[role]) > 1]
         raise InputError(
             f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, displacement and "
-            f"force, of one setting, with their units: {', '.join(each)}; needed: {list_names(missing)}"
+            f"force, of one setting, with units. Read as: {', '.join(each)}; still needed: {list_names(missing)}"
         )
     if log:
         known = by_role["deflection"]
@@ -261,8 +261,8 @@ def _of_ratio(text: str) -> dict[str, Any]:
     travels = [one for one in headings if one.direction or "deflection" in one.words]
     if len(ratios) != 1 or len(travels) != 1:
         raise InputError(
-            f"has the columns {list_names(one.name for one in headings)}; give one called ratio, and one called deflection, "
-            "which is positive in extension, or compression"
+            f"has the columns {list_names(one.name for one in headings)}; give one column called ratio, and one called "
+            "deflection (positive in extension) or compression"
         )
     numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
     x = (travels[0].direction or 1) * travels[0].scale("deflection") * numbers[:, 0]
@@ -291,7 +291,7 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
         a, b = (one[i] for one in forces)
         raise InputError(
             f"has {a:g} and {b:g} N at {v[i]:g} m/s, probably because of a gas; subtract the gas force, which is "
-            f"part of the spring's preload"
+            "part of the spring's preload"
         )
     v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
@@ -318,6 +318,8 @@ def _dpr_columns(text: str) -> str:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
     names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
-        raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
+        raise InputError(
+            f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give a table with the columns vel and force"
+        )
     headings = f"velocity [{units['LENGTH']}/{units['TIME']}]\tforce [{units['FORCE']}]"
     return "\n" * (before["CURVE"] - 1) + headings + "\n" + HEAD.sub("", blocks["CURVE"])

@@ -361,7 +361,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
             f"its force at rest is {at_rest:g} N, but a damper has no force at rest; subtract the gas force, which is part of "
-            f"the spring's preload"
+            "the spring's preload"
         )
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
@@ -414,7 +414,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
             if x * force < 0:
                 raise InputError(
                     f"its force at {x:g} m/s is {force:g} N, which would supply energy, but a damper dissipates energy; give "
-                    f"forces with the sign of the velocity, both positive in extension"
+                    "forces with the sign of the velocity, both positive in extension"
                 )
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
@@ -425,7 +425,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
         if curve.slopes[end] < 0:
             raise InputError(
                 f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, because the last slope continues; make "
-                f"the last slope zero or positive"
+                "the last slope zero or positive"
             )
     return curve
 

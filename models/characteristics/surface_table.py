@@ -63,7 +63,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
                 f"{short_repr(of[name][0].text)} does not tell which direction is positive; write {name} (positive in "
-                f"extension) or compression"
+                "extension) or compression"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force

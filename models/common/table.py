@@ -167,7 +167,7 @@ class NumberTable:
         if [*marked] == [","] and thousands and integers:
             raise InputError(
                 f"{marked[',']}, which may be a thousands separator; write numbers without thousands separators, "
-                f"and decimals with a dot"
+                "and decimals with a dot"
             )
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 

@@ -50,7 +50,7 @@ class Variation(CheckedFields):
         if not (0 < self.smallest <= 1 <= self.largest <= LARGEST and self.smallest < self.largest):
             raise InputError(
                 f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; the smallest factor must be above "
-                f"0 and at most 1, and the largest factor must be at least 1, but not equal to the smallest"
+                "0 and at most 1, and the largest factor must be at least 1, but not equal to the smallest"
             )
 
     def __str__(self) -> str:
@@ -607,7 +607,7 @@ class VehicleKind(CheckedFields):
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m (weight of the masses over tyre stiffness), but at most "
                     f"{MOST_SQUEEZE} m is allowed: check that masses are in kg and stiffness in N/m; lower the masses or "
-                    f"raise the stiffness"
+                    "raise the stiffness"
                 )
         return checked
 

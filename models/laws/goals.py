@@ -251,7 +251,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
         if not any(used):
             raise InputError(
-                f"{what}, but {signal!r} is not from a corner; measure signals with the endings of the forces "
+                f"{what}, but {signal!r} is not from a corner; measure signals whose names end like those of the forces "
                 f"{list_names(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
             )
     for force, row in zip(corners, rows, strict=True):

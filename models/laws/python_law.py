@@ -221,7 +221,9 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
     measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
     for signal in measured:
         if signal not in measurable:
-            raise InputError(f"{name}.measured: unknown signal {short_repr(signal)}; measurable are {alike(signal, measurable)}")
+            raise InputError(
+                f"{name}.measured: unknown signal {short_repr(signal)}; measurable signals are {alike(signal, measurable)}"
+            )
     try:
         source = inspect.getsource(function)
     except (OSError, TypeError):  # typed at a prompt, or an object

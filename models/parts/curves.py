@@ -115,7 +115,7 @@ def curve_notes(curves: Mapping[str, ForceCurve], kind: VehicleKind, parameters:
             notes.append(
                 f"{name}: the table's force at rest is {round(carried, 1):g} N, but the static load is {round(load, 1):g} N, a "
                 f"difference of {round(load - carried, 1):+g} N; with preload = true, the equilibrium is where the table "
-                f"carries the static load"
+                "carries the static load"
             )
     return notes
 

@@ -41,7 +41,7 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
     if compression > REVERSED_RATIO * extension:
         yield (
             f"the force at {round(v, 3):g} m/s is {round(compression)} N in compression and {round(extension)} N in "
-            f"extension, but most dampers have the larger force in extension; check that the velocity is positive in extension"
+            "extension, but most dampers have the larger force in extension; check that the velocity is positive in extension"
         )
 
 

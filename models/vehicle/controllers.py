@@ -136,7 +136,7 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
     for signal in value:
         if signal not in context["signals"]:
             raise InputError(
-                f"{HERE}: unknown signal {short_repr(signal)}; measurable are {alike(signal, context['measurable'])}"
+                f"{HERE}: unknown signal {short_repr(signal)}; measurable signals are {alike(signal, context['measurable'])}"
             )
         if value.count(signal) > 1:
             raise InputError(f"{HERE} contains {signal!r} twice; list this signal once")
@@ -215,9 +215,9 @@ class GivenSection(SignalSection):
 
     def __post_init__(self) -> None:
         if self.certificate is not None and not self.given:
-            raise InputError("certificate needs a section with a gain or a law; remove it here")
+            raise InputError("certificate is allowed only in a section with a gain or a law; remove it here")
         if self.loads is not None and not self.loads:
-            raise InputError("loads = {} is empty; give { load = value that equals 1 m/s of road }, or omit loads")
+            raise InputError("loads = {} is empty; give { load = value equivalent to 1 m/s of road velocity }, or omit loads")
 
     @property
     def given(self) -> bool:

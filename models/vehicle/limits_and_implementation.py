@@ -55,7 +55,7 @@ class LimitsSection(StopSection):
             raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
         if self.limit == "force" and self.force_rate is not None and self.actuator_bandwidth is not None:
             raise InputError(
-                'has limit = "force" and force_rate, but with a rate limit actuator_force limits commands, too; give '
+                'has limit = "force" and force_rate, but with a rate limit, actuator_force also limits the commands; give '
                 'limit = "command", or omit limit'
             )
 

@@ -83,7 +83,7 @@ def _check_address(address: str) -> None:
     except OSError as error:
         raise InputError(
             f"--ray {address}: the address does not answer ({error.strerror or error}); give the address that ray start "
-            f"--head prints"
+            "--head prints"
         ) from error
 
 

@@ -38,7 +38,7 @@ def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure
     panels = tuple(_panel(scope, diagram, runs) for diagram in diagrams(scope.vehicle))
     title = (
         f"Forces over {where}. Lines: characteristics or limits, and their linearisation. Points: MuJoCo, including the "
-        f"actuator force."
+        "actuator force."
     )
     return Figure("suspension", title, panels, columns=min(2, len(panels))) if panels else None
 

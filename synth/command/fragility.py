@@ -66,7 +66,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     kind = f" ({kinds.pop()})" if len(kinds) == 1 and all(kinds) else ""
     text = (
         f"Errors of all signals: the largest that are proved harmless{kind}, then the smallest that were found harmful. "
-        f"int16, float16: the norm after rounding the law."
+        "int16, float16: the norm after rounding the law."
     )
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 

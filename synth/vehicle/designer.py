@@ -273,7 +273,7 @@ class Designer:
         if law.D.shape != expected:
             raise InputError(
                 f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: a row for each force, "
-                f"a column for each measured signal"
+                "a column for each measured signal"
             )
         return self._given(ControllerEntry(name, tuple(measured), law, hardware=hardware), law)
 

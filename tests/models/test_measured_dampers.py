@@ -166,7 +166,9 @@ def test_what_else_is_refused():
     with pytest.raises(InputError, match=r"is parallel to a semi-active damper, .* supply energy"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + PAIR)
     told = '[controllers.told]\nmeasured = ["sprung_acceleration", "control_force"]\ngain = [[-500.0, 0.1]]\n'
-    with pytest.raises(InputError, match="measures control_force, which has no sensor for a damper with curves c_min and c_max"):
+    with pytest.raises(
+        InputError, match="measures control_force, but no sensor measures the force of a damper with curves c_min and c_max"
+    ):
         parse_vehicle(QUARTER + told + PAIR)
     one_side = f"[actuators.front_left]\nc_min = {SOFT}\nc_max = {HARD.replace('-2600', '-2700')}\n"
     with pytest.raises(InputError, match="suspensions that share suspension_damping_front have different damper curves"):

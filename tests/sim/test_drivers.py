@@ -220,7 +220,7 @@ def test_a_rate_that_is_never_reached_changes_no_bit():
     [
         (
             ['limit = "force"', "actuator_force = 1e3", "actuator_bandwidth = 60"],
-            r"with a rate limit actuator_force limits commands",
+            r"with a rate limit, actuator_force also limits the commands",
         ),
         (["[limits.front]", "force_rate = 1e3"], r"\[limits.front\]"),
         (["[actuators]", 'kind = "damper"', "c_min = 300", "c_max = 4e3"], r"force_rate"),

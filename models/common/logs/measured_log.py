@@ -161,7 +161,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
             known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
-            raise InputError(f"{columns_in_words(ones)} are all {name}; rename all but one")
+            raise InputError(f"{columns_in_words(ones)} all have the name of the signal {name}; rename all but one")
         if name in columns and not ones:
             texts = alike(columns[name], [short_repr(one.text) for one in headings if one.text])
             raise InputError(f"no column is called {short_repr(columns[name])}; the columns are {texts}")
@@ -171,7 +171,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         found = first_few([short_repr(one.text) for one in headings if one.text], 8) or "without names"
         raise InputError(
             f"no column has the name of a signal (columns: {found}); rename one, or give --beside-column SIGNAL=HEADING; "
-            f"nearest "
+            "nearest "
             f"signals: {list_names({*near} or units)}"
         )
     return used

@@ -171,7 +171,7 @@ def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep
         held = how.without_noise.phrases or ("forces held over each timestep",)
         yield (
             f"'Sampled' is the exact response of the loop that MuJoCo simulates: {', '.join((*held, *lag))}. 'Continuous' is "
-            f"the "
+            "the "
             f"response of the continuous loop{', with ' * bool(lag)}{', '.join(lag)}."
         )
     if words := at_rest_words(vehicle):

@@ -68,7 +68,7 @@ def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
         texts.append(
             f"MuJoCo reaches {SHARE.digits(shares.min())} to {SHARE.digits(shares.max())} % of the continuous norms on the "
             f"sinusoid where each norm is reached{together}. The phase of the sinusoid advances by at most {TURN:g} rad per "
-            f"timestep."
+            "timestep."
         )
     return replace(document, blocks=(*document.blocks, *notes(*texts)))
 

@@ -233,7 +233,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
             out[max(k - 2, 0) : k + margin] = True
         remarks.append(
             f"{one.name}: a wheel is in the air in {int(lifted[i].sum())} samples; these samples, and {AFTER:g} s after each "
-            f"of them, are ignored"
+            "of them, are ignored"
         )
         edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(int)))
         for first, last in edges.reshape(-1, 2):

@@ -83,7 +83,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     if within.sum() < LEAST:
         raise InputError(
             f"only {int(within.sum())} samples are between first and last, but at least {LEAST} are needed; change first "
-            f"and last in the map"
+            "and last in the map"
         )
     within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False
     time = log.time[within]

@@ -164,7 +164,7 @@ def statements(of: Identification) -> Iterator[Statement]:
             f"The logs cannot determine {list_names(estimate.held)} together with all other parameters: {SCALE}."
             if scale
             else f"The logs cannot determine {list_names(estimate.held)} together with all other parameters; fix one of them, "
-            f"or measure another signal.",
+            "or measure another signal.",
             "ends",
         )
     for name in estimate.silent:
@@ -179,7 +179,7 @@ def statements(of: Identification) -> Iterator[Statement]:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
             f"Another vehicle fits equally well: {values}. These signals cannot distinguish the suspension from the tyre; "
-            f"measure the hub.",
+            "measure the hub.",
             "ends",
         )
     if estimate.noiseless:
@@ -223,7 +223,7 @@ def describe(of: Identification) -> Document:
     if of.allowed:
         caption = (
             f"controllers on {of.allowed[0].vehicles} vehicles: the estimated vehicle, and the vehicles at the ends of "
-            f"the axes of the 95 % confidence ellipse"
+            "the axes of the 95 % confidence ellipse"
         )
         blocks.append(Table.of("controllers", caption, ALLOWED, of.allowed))
         for one in of.allowed:

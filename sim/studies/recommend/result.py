@@ -210,7 +210,7 @@ def describe(result: Recommendation) -> Document:
         floor = about(unit * math.floor(result.bound / unit))
         texts.append(
             f"In linear analysis without limits, no controller with active forces has an expected ride below {floor} m/s². "
-            f"This is the ride of LQG with the same sensors, sample period, delay and hold."
+            "This is the ride of LQG with the same sensors, sample period, delay and hold."
         )
     whole = result.sensors.get(tuple(known), math.nan)
     if len(result.sensors) > 1:

@@ -318,7 +318,7 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
         clauses = dict.fromkeys(one.accuracy for one in metrics_of(vehicle) if one.accuracy)
         said.append(
             f"Values with ~ are approximate: {', '.join(clauses)}. For short runs or light damping, the deviation between "
-            f"roads (+-) is up to 45 % too large."
+            "roads (+-) is up to 45 % too large."
         )
     said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:

@@ -317,7 +317,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     if rest is not None and rest.sharp:
         accuracy = (
             f"The straight lines do not explain {percent(rest.share)} of the variance of a force, so expected accelerations "
-            f"are computed from these lines alone. "
+            "are computed from these lines alone. "
         )
         friction = "As with friction, rms is exact to 3 %, and dynamic load is up to 8 % too low"
     else:
@@ -326,8 +326,8 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
         f"Slopes of the straight lines that replace curves on this road: {'; '.join(slopes)}.{note}",
         f"{accuracy}{friction}; vdv can be up to 10 % too high, and crest up to 35 %. If wheels leave the ground, vdv can be "
-        f"up to 8 % too high; crest, travel and forces can be up to 15 % too high, or up to 20 % if wheels are in the air for "
-        f"a fifth of the time.",
+        "up to 8 % too high; crest, travel and forces can be up to 15 % too high, or up to 20 % if wheels are in the air for "
+        "a fifth of the time.",
     ]
 
 

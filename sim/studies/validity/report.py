@@ -217,7 +217,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         off = at_most(max(end.error for end in confirmed))
         text += (
             f" MuJoCo{noise} simulated bumps that are {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no "
-            f"limit is reached, "
+            "limit is reached, "
         )
         which = NONLINEAR if vehicle.parts.nonlinear else "analysis"
         text += f"and {which} is within {off} of every peak. Over the higher bumps, this limit is reached."
