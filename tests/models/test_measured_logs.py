@@ -123,7 +123,8 @@ WRONG = [  # the text of a file, settings, words of the message
     ("a [N];b\n0;1\n1;2\n2;3\n", {"rate": 0.0, "columns": {"control_force": "a"}}, ("0 Hz", "above 0")),
     (HEAD + "0;1\n1;2\n2;3\n", {"columns": {"control_force": "u"}}, ("no column is called 'u'", "'sprung_acceleration [m/s2]'")),
     (HEAD + "0;1\n1;2\n2;3\n", {"columns": {"force": "u"}}, ("no signal 'force'", "control_force")),
-    ("t [s];Control-Force [N];control force [kN]\n0;1;1\n1;2;2\n2;3;3\n", {}, ("columns 2 (", "3 (", "are all control_force")),
+    ("t [s];Control-Force [N];control force [kN]\n0;1;1\n1;2;2\n2;3;3\n", {}, ("columns 2 (", "3 (", "all have the name of "
+        "the signal control_force")),
     ("LabVIEW Measurement\n1\t2\n", {}, ("no line ***End_of_Header***",)),
     (labview("Multi").replace("Delta_X\t4,0E-3", "Delta_X\t5,0E-3"), {}, ("different X0 or Delta_X",)),
     (labview("One").replace("Dimension\tTime", "Dimension\tFrequency"), {}, ("X_Dimension is 'Frequency'",)),

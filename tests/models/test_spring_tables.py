@@ -332,8 +332,8 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
 @pytest.mark.parametrize(
     ("above", "columns", "said"),
     [
-        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; needed: deflection"),
-        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; needed: time"),
+        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; still needed: deflection"),
+        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; still needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
         ("t [s],compression force [N],compression [mm]", "tnx", "correct the direction in the heading of column 3 or 2"),
         ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),

@@ -304,7 +304,7 @@ def test_measurements_that_do_not_fit(Cy, message):
         ({"performance": {"tyre_deflection": 0.0}}, "the weights are all zero"),
         ({"measured": ["speed"]}, "unknown measured signal 'speed'"),
         ({"measured": []}, "nothing is measured"),
-        ({"measured": ["sprung_acceleration"]}, "'sprung_acceleration' contains an input directly"),
+        ({"measured": ["sprung_acceleration"]}, "'sprung_acceleration' depends directly on an input"),
     ],
 )
 def test_state_space_that_does_not_fit(space, change, message):
