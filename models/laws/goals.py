@@ -114,7 +114,7 @@ class NormOf(Section):
 class Minimise(NormOf):
     """The norm that is minimised, and how the norms of a vehicle family are combined."""
 
-    over: Annotated[str, Choice("value over a family that is minimised", (WORST, REGRET), OVER)] = WORST
+    over: Annotated[str, Choice("what is minimised over a family of vehicles", (WORST, REGRET), OVER)] = WORST
 
 
 def _signal(value: Any, context: Mapping[str, Any]) -> str:
@@ -260,7 +260,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     return rows
 
 
-FAMILY = "factors on parameters of each vehicle"
+FAMILY = "factors by which each vehicle changes parameters"
 FACTORS = ListedValues("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
 
 
@@ -277,13 +277,15 @@ class Goals(Section):
     ] = field(default_factory=Minimise)
     bounds: Annotated[
         tuple[Bound, ...],
-        ListedValues("bounds for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0),
+        ListedValues(
+            "bounds that hold for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0
+        ),
     ] = ()
     tolerance: Annotated[
         Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)
     ] = field(default_factory=dict)
     family: Annotated[tuple[Mapping[str, float], ...], ReadBy(f"{FAMILY}, or a file with them", FACTORS.read)] = ()
-    structure: Annotated[Any, ReadBy("rows of 0 and 1 by force, `corner`, or a law: `pi`, `pid`", _structure)] = None
+    structure: Annotated[Any, ReadBy("a row of 0 and 1 for each force, or `corner`, `pi` or `pid`", _structure)] = None
 
     def __post_init__(self) -> None:
         if self.over == REGRET and not self.family:

@@ -205,7 +205,7 @@ class GivenSection(SignalSection):
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
     noise: Annotated[bool, Flag("design for the noise of `[implementation]`", " (other sections define the amount)")] = False
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
-    sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
+    sampled: Annotated[bool, Flag("whether to design for the sampled-data loop; default: as in `[implementation]`")] | None = None
     loads: (
         Annotated[Mapping[str, float], BySignal("loads that count as much as a road velocity of 1 m/s", "loads", SMALLEST)] | None
     ) = None

@@ -405,7 +405,8 @@ def _checks(run: RunResult) -> Iterator[Statement]:
 def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     error = DIFFERENCE.digits(one.error) if one.error else "0"
     text = (
-        f"{subject} {what}: largest error {error} of a peak ({one.signal}), {ALLOWED_DIFFERENCE.digits(one.allowed)} is allowed"
+        f"{subject} {what}: largest error {error} of a peak ({one.signal}); at most "
+        f"{ALLOWED_DIFFERENCE.digits(one.allowed)} is allowed"
     )
     return Statement(text, "note" if one.agrees else "fails")
 
@@ -435,7 +436,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
                 f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding account for {own}"
             )
         else:
-            wrong_by = f"the largest difference is {size}, {own} is allowed"
+            wrong_by = f"the largest difference is {size}, but at most {own} is allowed"
             yield Statement(f"MuJoCo DOES NOT AGREE with {what} {_when(run)}: {wrong_by}", "fails")
     else:
         yield Statement(
@@ -461,7 +462,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         return
     of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} exchanged"
     if energy.least is not None and energy.least < 0 and energy.fails:
-        given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it absorbed"
+        given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the largest energy that it absorbed"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
     elif energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
@@ -471,7 +472,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, {ENERGY[-1].cell(energy)} is allowed"
+        more = f"{of} is neither stored nor dissipated, but at most {ENERGY[-1].cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 

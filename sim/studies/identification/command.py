@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 class IdentifyStudy(Study["Result"]):
     """Identification of a vehicle from logs; with --columns the text of a first map, with --plan plans of a test."""
 
-    description = "Identify the parameters of a vehicle from measured logs, with intervals and what they do not determine."
+    description = (
+        "Identify the parameters of a vehicle from measured logs, with intervals, and show what the logs do not determine."
+    )
     epilog = """
 exit code: 0 the residuals are white, or --columns; 1 they are not white, so the vehicle lacks something; 2 invalid input
 

@@ -141,7 +141,8 @@ def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
     return (
         f"MuJoCo drives {len(SEEDS)} random roads of each ISO 8608 class at {SPEED:g} m/s, {WINDOW:g} s each. "
-        "'Weighted' is the rms acceleration of ISO 2631-1, Wk. 'Dynamic load' is the rms tyre force over its static value.",
+        "'Weighted' is the rms acceleration of ISO 2631-1, Wk. 'Dynamic load' is the rms of the dynamic tyre force, relative "
+        "to the static force.",
         f"Predictions use the road's spectrum and the sampled linear loop{f', without {without}' if without else ''}.{curved}",
         "Values are root mean squares, in MuJoCo over the roads driven, and predicted over all roads of the class. 'Road to "
         "road' is the standard deviation between roads of a class; MuJoCo's value differs from the prediction by about half "
