@@ -605,8 +605,8 @@ class VehicleKind(CheckedFields):
                 raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move the masses between the wheels")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
-                    f"{tyre} at rest is {squeeze:.3g} m (weight of the masses over tyre stiffness), but at most "
-                    f"{MOST_SQUEEZE} m is allowed: check that masses are in kg and stiffness in N/m; lower the masses or "
+                    f"{tyre} at rest is {squeeze:.3g} m (weight over tyre stiffness), but at most {MOST_SQUEEZE} m is "
+                    f"allowed: check that masses are in kg and stiffness in N/m; lower the masses or "
                     "raise the stiffness"
                 )
         return checked

@@ -109,7 +109,8 @@ class Plant:
             matrix, shape = getattr(self, name), (size[rows], size[columns])
             if matrix.shape != shape:
                 raise InputError(
-                    f"{name} has shape {matrix.shape}, and must have {shape}: A has {size['n']} row(s), B {size['m']} column(s), "
+                    f"{name} has shape {matrix.shape}, but must have the shape {shape}: A has {size['n']} row(s), B "
+                    f"{size['m']} column(s), "
                     f"Bw {size['r']} column(s) and C {size['d']} row(s)"
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):

@@ -142,7 +142,7 @@ GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n
         ),
         (
             "[limits]\nstop = { rebound = { deflection = [0.07, 0.08], force = [1, 2] } }",
-            "but the table has no point at which contact",
+            "without a point where contact begins",
         ),
         ("[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1 }", "suspension_stroke has no rebound"),
         ("[limits]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop = { bump = 1e5 }", "stop_stiffness has no rebound"),

@@ -199,7 +199,7 @@ ADDED = {
         ),
         (
             "stop = { compression = [0, 0.01], force = [0, 500] }",
-            "pushes back with 500 N at 0.01 m, but the table has no point at which contact",
+            "pushes back with 500 N at 0.01 m, without a point where contact begins",
         ),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its table ends with a falling force, 400 N"),

@@ -92,8 +92,8 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     first = int(np.flatnonzero(force)[0]) - 1
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
-            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, but the table has no point at which "
-            "contact begins; begin with 0 N at contact, or add a stop that touches at rest to the spring: "
+            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point where contact "
+            f"begins; begin with 0 N at contact, or add a stop that touches at rest to the spring: "
             "suspension_stiffness = [22e3, { ... }]"
         )
     if stroke is not None and u[first]:

@@ -224,7 +224,10 @@ def describe(result: Recommendation) -> Document:
             f"Expected {WORDS[task.goal]}{usual} of the best LQG with different sensors: {', '.join(each)} {column.unit}."
         )
     kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
-    reserve = f" Reserve for other roads: {SHARE.text(kept)} of stroke and force, {SHARE.text(lift)} of the time off the ground."
+    reserve = (
+        f" A reserve is kept for other roads: {SHARE.text(kept)} of stroke and force, and {SHARE.text(lift)} of the "
+        f"time off the ground."
+    )
     texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []

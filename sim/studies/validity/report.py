@@ -204,7 +204,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         if not end or end in confirmed
     ]
     failed = [
-        f"MuJoCo DOES NOT leave the linear range of {name} as predicted, by {end.predicted_end} at {HEIGHT.text(end.predicted)}."
+        f"MuJoCo DOES NOT leave the linear range of {name} as predicted ({end.predicted_end} at {HEIGHT.text(end.predicted)})."
         for name, end in claimed
         if end and end not in confirmed
     ]
