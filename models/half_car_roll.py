@@ -19,7 +19,12 @@ PARAMETERS = (
     Parameter("roll_inertia", "kg m2", "I_x, roll inertia of this part of the body about its centre of mass"),
     Parameter("track", "m", "b, distance of left and right wheel", largest=rigid_body.LONGEST),
     Parameter(
-        "centre_offset", "m", "place of the centre of mass, to the left of the middle", smallest=-5.0, largest=5.0, optional=True
+        "centre_offset",
+        "m",
+        "position of the centre of mass, to the left of the middle between the wheels",
+        smallest=-5.0,
+        largest=5.0,
+        optional=True,
     ),
     *rigid_body.of_half_car(SIDES),
     Parameter(
@@ -57,7 +62,8 @@ def check(p: Parameters) -> None:
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], 2 * p["track"], "doubled track")
     if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
         raise InputError(
-            f"centre_offset = {offset:g} m is not between the wheels, which are {p['track'] / 2:g} m from the middle; give less"
+            f"centre_offset = {offset:g} m is not between the wheels, which are {p['track'] / 2:g} m from the middle; give a "
+            "smaller offset"
         )
     rigid_body.check_stands(_body(p))
 

@@ -112,18 +112,19 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING_DISTANCE * largest))[:1].tolist():
         raise InputError(
-            f"at {x[i]:g} m/s, c_min has the force {low[i]:g} N and c_max {high[i]:g} N; give the firmest setting as c_max, "
-            "with a larger force than c_min at every velocity"
+            f"at {x[i]:g} m/s, the force is {low[i]:g} N for c_min and {high[i]:g} N for c_max; c_max must be the firmest "
+            "setting, with a larger force than c_min at every velocity"
         )
     if not soft.slope < hard.slope:
         raise InputError(
-            f"at velocity 0, c_min has the slope {soft.slope:g} N s/m and c_max {hard.slope:g} N s/m; give the firmest setting "
-            "as c_max, with the larger slope there"
+            f"at velocity 0, the slope is {soft.slope:g} N s/m for c_min and {hard.slope:g} N s/m for c_max; c_max must be "
+            "the firmest setting, with the larger slope"
         )
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
         if hard.slopes[end] < soft.slopes[end] - TOUCHING_DISTANCE * abs(soft.slopes[end]):
             raise InputError(
-                f"{side}, c_min and c_max are extended with {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, so they cross; "
+                f"{side}, c_min and c_max continue with slopes of {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, so "
+                "they cross; "
                 "change the outermost points so that the curves do not cross"
             )
     return pair

@@ -125,7 +125,10 @@ class ForceCurve:
         own = self.whole or self
         low, high = -float(own.force.max()), -float(own.force.min())
         if not low < more < high:
-            raise InputError(f"its table carries {low:.4g} to {high:.4g} N more than at rest, not {more:.4g} N; extend the table")
+            raise InputError(
+                f"its table covers loads of {low:.4g} to {high:.4g} N more than at rest, but {more:.4g} N more "
+                "are needed; extend the table"
+            )
         i = int(np.flatnonzero((own.force[:-1] <= -more) & (own.force[1:] >= -more))[0])
         rest = float(np.interp(-more, own.force[i : i + 2], own.x[i : i + 2]))
         x = np.unique([*(own.x - rest), 0.0])

@@ -130,7 +130,7 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     if not isinstance(name, str) or not name:
         raise InputError(f"file = {short_repr(name)} is not the name of a file; {GIVE}")
     if others := [key for key in (*ARGUMENTS, "compression", "force", "note") if key in entry]:
-        raise InputError(f"has a file and {list_names(others)}; a file has the whole table, so omit one of them")
+        raise InputError(f"has both a file and {list_names(others)}; the file contains the whole table, so omit one of them")
     file, over = path_from(name, folder), _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
@@ -139,7 +139,7 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
         table = _of_ratio(text) if over == RATIO else surface_columns(text, give) or _of_columns(text, over, give)
         if over and over not in table:
             other = "deflection" if over == RATIO else "force"
-            raise InputError(f"has the columns {list_names(table)}; give {over} and {other}")
+            raise InputError(f"has the columns {list_names(table)}; it needs the columns {over} and {other}")
     sources.append((origin(name, content), file))
     return table
 
@@ -173,12 +173,14 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         missing = [role for role in LOG if not by_role[role]] or [f"only one of {role}" for role in LOG if len(by_role[role]) > 1]
         raise InputError(
             f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, displacement and "
-            f"force, of one setting, with their units: {', '.join(each)}; needed: {list_names(missing)}"
+            f"force, of one setting, with units. Read as: {', '.join(each)}; still needed: {list_names(missing)}"
         )
     if log:
         known = by_role["deflection"]
     if not known and any(by_role[one] for one in ARGUMENTS):
-        raise InputError(f"has the columns {list_names(one.name for one in headings)}; give {over or wanted} and force")
+        raise InputError(
+            f"has the columns {list_names(one.name for one in headings)}; it needs the columns {over or wanted} and force"
+        )
     sheet = sorted(one.direction for one in forces) == [-1, 1]
     told = {"deflection", "compression"} if over == "compression" else SIGN_HEADINGS[wanted]
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
@@ -192,7 +194,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
         columns = list_names(one.name for one in headings)
-        raise InputError(f"has the columns {columns}; give two, {over or wanted} and force, of one setting")
+        raise InputError(f"has the columns {columns}; it needs the two columns {over or wanted} and force, of one setting")
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]
     numbers = table.numbers([one.column - 1 for one in used])[0]
     x, *values = (numbers * [used[0].scale("deflection" if log else wanted), *(one.scale("force") for one in used[1:])]).T
@@ -259,8 +261,8 @@ def _of_ratio(text: str) -> dict[str, Any]:
     travels = [one for one in headings if one.direction or "deflection" in one.words]
     if len(ratios) != 1 or len(travels) != 1:
         raise InputError(
-            f"has the columns {list_names(one.name for one in headings)}; give one called ratio, and one called deflection, "
-            "which is positive in extension, or compression"
+            f"has the columns {list_names(one.name for one in headings)}; give one column called ratio, and one called "
+            "deflection (positive in extension) or compression"
         )
     numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
     x = (travels[0].direction or 1) * travels[0].scale("deflection") * numbers[:, 0]
@@ -280,14 +282,17 @@ def _role(heading: Heading) -> str:
 def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[float], list[float]]:
     """Returns velocities and forces from the data sheet of a dynamometer."""
     if (speed < 0).any():
-        raise InputError("has a speed below 0; give speeds from 0 on, with the forces in compression and in rebound")
+        raise InputError("has a speed below 0; give speeds of 0 or more, with the forces in compression and in rebound")
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
     pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # both signs are common
     gas = np.where(v == 0, np.abs(pushing - pulling) > GAS * pulling.max(), np.minimum(pushing, pulling) < 0)
     for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
-        raise InputError(f"has {a:g} and {b:g} N at {v[i]:g} m/s, as of a gas; subtract its force, part of the spring's preload")
+        raise InputError(
+            f"has {a:g} and {b:g} N at {v[i]:g} m/s, probably because of a gas; subtract the gas force, which is "
+            "part of the spring's preload"
+        )
     v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]
 
@@ -313,6 +318,8 @@ def _dpr_columns(text: str) -> str:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
     names = re.sub(r"<[^>]*>", "", heads[0]).lower().split()
     if names not in (["vel", "force"], ["velocity", "force"]):
-        raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
+        raise InputError(
+            f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give a table with the columns vel and force"
+        )
     headings = f"velocity [{units['LENGTH']}/{units['TIME']}]\tforce [{units['FORCE']}]"
     return "\n" * (before["CURVE"] - 1) + headings + "\n" + HEAD.sub("", blocks["CURVE"])

@@ -44,7 +44,9 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
     x, force = (np.interp(even, time, values) for values in (displacement, force))
     tops, bottoms = (find_peaks(side * x, prominence=STROKE * np.ptp(x))[0] for side in (1.0, -1.0))
     if len(ends := max(tops, bottoms, key=len)) < 2:
-        raise InputError("the displacement has less than two turning points on one side, and so no full cycle; give a longer log")
+        raise InputError(
+            "the displacement has fewer than two turning points on one side, so it contains no full cycle; give a longer log"
+        )
     period = float(np.diff(ends).mean())
     if period < SAMPLES:
         raise InputError(f"a cycle has {period:.3g} samples, but at least {SAMPLES:g} are needed; log at a higher rate")

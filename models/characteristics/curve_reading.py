@@ -54,7 +54,7 @@ SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; smaller values a
 LEAST_PULL = 0.01  # relative to a spring's largest pull; if a table carries less, its signs are probably reversed
 MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # N/m or N s/m; relative to the largest force
 FRICTION = ("friction", "friction_velocity")
-ALONE = "is not allowed: a position-dependent damper cannot have friction, or other elements next to it; give it alone"
+ALONE = "is not allowed: a position-dependent damper cannot be combined with friction or other elements; give it alone"
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Argument(ListedValues):
         """Returns the values of the argument."""
         x = np.array(super().read(value, context))
         for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
-            do = f"sort the points by {self.name}, each once" if x[i] >= x[i + 1] else "omit one of them"
+            do = f"sort the points by {self.name}, and give each value once" if x[i] >= x[i + 1] else "omit one of them"
             raise InputError(f"{HERE} goes from {x[i]:g} to {x[i + 1]:g} {self.unit} at point {i + 2}; {do}")
         if max(-x[0], x[-1]) > self.largest:
             raise InputError(
@@ -110,7 +110,7 @@ class TableSection(Section):
     def __post_init__(self) -> None:
         given = [name for name in (*self.arguments, self.of) if getattr(self, name) is not None]
         if self.file is not None:
-            raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
+            raise InputError("names a file, but a vehicle that is read from text cannot refer to files; give the table instead")
         if len(given) > 2:
             raise InputError(f"has {list_names(given[:-1])}; omit one of them")
         for key in (given[0] if given and given != [self.of] else self.arguments[0], self.of):
@@ -135,7 +135,9 @@ class CurveTable(TableSection):
     preload: ClassVar[Any] = False
 
     force: Annotated[Values, FORCE] | None = None
-    fit_error: Annotated[float, SI("1", "largest error of the lines, over the largest force", high=LARGEST_ERROR)] | None = None
+    fit_error: (
+        Annotated[float, SI("1", "largest error of the straight lines, relative to the largest force", high=LARGEST_ERROR)] | None
+    ) = None
     note: Annotated[str, Text("remark on the table, printed as a warning")] = ""
 
 
@@ -178,14 +180,14 @@ class DamperTable(CurveTable):
     hints: ClassVar[Mapping[str, str]] = {"deflection": ALONE}
 
     velocity: Annotated[Values, VELOCITY] | None = None
-    friction: Annotated[float, SI("N", "F of a friction F tanh(v / v0)", 1e-3, 1e5)] | None = None
-    friction_velocity: Annotated[float, SI("m/s", "v0 of the friction", 1e-4, 1.0)] | None = None
+    friction: Annotated[float, SI("N", "largest force F of the friction F tanh(v / v0)", 1e-3, 1e5)] | None = None
+    friction_velocity: Annotated[float, SI("m/s", "velocity v0 of the friction F tanh(v / v0)", 1e-4, 1.0)] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         absent = [name for name in FRICTION if getattr(self, name) is None]
         if len(absent) == 1:
-            what = "a friction is F tanh(v / v0) with friction, F, in N and friction_velocity, v0, in m/s"
+            what = "the friction F tanh(v / v0) needs both friction, which is F in N, and friction_velocity, which is v0 in m/s"
             raise InputError(f"{HERE}.{absent[0]} is missing; {what}")
 
 
@@ -270,7 +272,9 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
         if preload is True:
             whole = load()
             if whole is None or sum(each.preload is True for each in tables) > 1:
-                raise InputError("the load of this spring is unknown; give preload in N, and true for one table at most")
+                raise InputError(
+                    "the static load of this spring is unknown; give preload in N, or preload = true for at most one table"
+                )
             preload = whole + sum(at_rest for _, _, at_rest in parts)
         x, force = one.points
         parts.append(_part(x, force, over, preload, alone=count == 1))
@@ -321,7 +325,7 @@ def _deflection_under_load(x: Array, force: Array, load: float) -> float:
     do = "extend the table, or correct preload"
     if high < LEAST_PULL * force.max():
         do = "if its deflections are positive in compression, call them compression"
-    raise InputError(f"its table carries {low:.6g} to {high:.6g} N, but the static load is {load:.6g} N; {do}")
+    raise InputError(f"its table covers forces from {low:.6g} to {high:.6g} N, but the static load is {load:.6g} N; {do}")
 
 
 def _knots(parts: Sequence[Array]) -> Array:
@@ -338,8 +342,8 @@ def _check_both_sides(x: Array, over: Argument) -> None:
     if not x[0] < 0 < x[-1]:
         free = ", or preload = true for a table that begins at the free length" if over is DEFLECTION else ""
         raise InputError(
-            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}; give both sides of rest: below 0 where the "
-            f"suspension is compressed, above 0 where it extends{free}"
+            f"{over.name} goes from {x[0] + 0.0:g} to {x[-1] + 0.0:g} {over.unit}; give values on both sides of equilibrium: "
+            f"below 0 in compression, above 0 in extension{free}"
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
@@ -356,8 +360,8 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
-            f"its force at rest is {at_rest:g} N, but a damper's must be 0; subtract the force of its gas, which is "
-            "part of the spring's preload"
+            f"its force at rest is {at_rest:g} N, but a damper has no force at rest; subtract the gas force, which is part of "
+            "the spring's preload"
         )
     force = force - at_rest
     if not np.abs(force).max() >= SMALLEST_FORCE:
@@ -394,8 +398,9 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
                 break
         else:
             raise InputError(
-                f"needs {len(ends) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
-                f"{MOST_LINES + AT_REST} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
+                f"needs {len(ends) - 1} straight lines for an error within {100 * error:g} % of its largest force, but at "
+                f"most {MOST_LINES + AT_REST} are allowed; smooth the table, or give a larger fit_error, up to "
+                f"{LARGEST_ERROR:g}"
             )
         words += f" replaced by {len(ends) - 1} straight lines, with errors within {100 * error:g} % of {largest:.4g} N"
         return ends, forces, words
@@ -408,19 +413,19 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
             if x * force < 0:
                 raise InputError(
-                    f"its force at {x:g} m/s is {force:g} N: that feeds energy in, where a damper takes it; give forces of the "
-                    "velocity's sign, both positive where the suspension extends"
+                    f"its force at {x:g} m/s is {force:g} N, which would supply energy, but a damper dissipates energy; give "
+                    "forces with the sign of the velocity, both positive in extension"
                 )
     elif min(float(curve(np.array([s * 1e-12]))[0]) * s for s in (-1, 1)) <= 0 or curve.slope <= 0:
         raise InputError(
-            "its slope at rest is not above 0, and so it holds nothing up; give forces that rise with deflection, both positive "
-            "where the suspension stretches, or add the spring to a stop, as in [22e3, { ... }]"
+            "its slope at rest is not above 0, so it cannot carry the body; give forces that rise with deflection, both "
+            "positive in extension, or add the spring to a stop, as in [22e3, { ... }]"
         )
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:
             raise InputError(
-                f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, as the last slope continues; give a last "
-                "point that ends flat or rising"
+                f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, because the last slope continues; make "
+                "the last slope zero or positive"
             )
     return curve
 

@@ -70,7 +70,7 @@ def slope_words(curve: ForceCurve) -> str:
     i = int(np.searchsorted(curve.x, 0.0))
     low, high = (round(float(x), 5) for x in (curve.x[i - 1], curve.x[i + 1]))
     slope, unit = ("N s/m", "m/s") if ENERGY in curve.note else ("N/m", "m")
-    return f"; slope at rest {rough(curve.slope)} {slope}, of the mean of both branches between {low:g} and {high:g} {unit}"
+    return f"; slope at rest {rough(curve.slope)} {slope}, from the mean of both branches between {low:g} and {high:g} {unit}"
 
 
 def _bin_means(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:

@@ -152,7 +152,7 @@ class RatioSection(TableSection):
     of: ClassVar[str] = RATIO
 
     deflection: Annotated[tuple[float, ...], DEFLECTION] | None = None
-    ratio: Annotated[tuple[float, ...], replace(FORCE, meaning="motion ratio at each of these", each=SI("1"))] | None = None
+    ratio: Annotated[tuple[float, ...], replace(FORCE, meaning="motion ratio at each deflection", each=SI("1"))] | None = None
 
 
 def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> RatioTable:
@@ -160,7 +160,10 @@ def ratio_table(where: str, entry: Any, check: Callable[[float], object]) -> Rat
     x, ratio = read(where, RatioSection, entry).points
     with error_in(f"{where}:"):
         if not x[0] < 0 < x[-1]:
-            raise InputError(f"deflection goes from {x[0]:g} to {x[-1]:g} m; give both sides of rest: below 0 in compression")
+            raise InputError(
+                f"deflection goes from {x[0]:g} to {x[-1]:g} m; give values on both sides of equilibrium: below "
+                "0 in compression, above 0 in extension"
+            )
         for one in ratio.tolist():
             check(one)
     return RatioTable(x, ratio)

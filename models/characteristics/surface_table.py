@@ -62,7 +62,8 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     for name in NAMES[:2]:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
-                f"{short_repr(of[name][0].text)} has no direction; write {name}, which is positive in extension, or compression"
+                f"{short_repr(of[name][0].text)} does not tell which direction is positive; write {name} (positive in "
+                "extension) or compression"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force

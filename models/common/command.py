@@ -197,7 +197,7 @@ class Parser(argparse.ArgumentParser):
 
     def add_loads(self, what: str, syntax: str) -> None:
         """Adds the option `--load`, which may be repeated, with the syntax of loads in its help text."""
-        meaning = f"{what}; may be repeated, then all loads act together: {syntax}"
+        meaning = f"{what}; may be repeated, and then all loads act together: {syntax}"
         self.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
     def add_gone(self, option: str, instead: str) -> None:

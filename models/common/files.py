@@ -41,7 +41,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         if spaced := re.search(r"^ *\[?([A-Za-z][\w.-]*(?: +[\w.-]+)+) *[]=]", text, re.MULTILINE):
             instead = f"; write {re.sub(' +', '_', spaced[1])} for {spaced[1]}"
         elif re.search("Cannot (overwrite|declare)", str(error)):
-            instead = "; a key or a section is there twice, so omit one of the two"
+            instead = "; a key or a section appears twice, so omit one of the two"
         elif line := re.search(r"at line (\d+)", str(error)):
             unit = UNQUOTED_QUANTITY.search(text.splitlines()[int(line[1]) - 1])
             instead += f'; write a number with its unit in quotes, as in "{unit[1].strip()}"' if unit else ""

@@ -165,7 +165,10 @@ class NumberTable:
                 integers = integers or (number != 0 and "," not in cell)
             lines.append(line)
         if [*marked] == [","] and thousands and integers:
-            raise InputError(f"{marked[',']}, which may be thousands; write numbers without thousands marks, decimals with a dot")
+            raise InputError(
+                f"{marked[',']}, which may be a thousands separator; write numbers without thousands separators, "
+                "and decimals with a dot"
+            )
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
     def seconds(self, heading: Heading, default: str = "") -> Array:
@@ -224,7 +227,7 @@ def table_text(path: Path) -> str:
     suffix = path.suffix.lower()
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:
         most = f"at most {MOST_BYTES // 10**6} MB are read"
-        raise InputError(f"the file has {size // 10**6} MB, but {most}; cut it, or resample it at a lower rate")
+        raise InputError(f"the file has {size // 10**6} MB, but {most}; shorten it, or resample it at a lower rate")
     if suffix == ".mcap" or suffix in MDF_SUFFIXES:
         return _tab_text((mcap_rows if suffix == ".mcap" else mdf_rows)(path))
     if suffix == ".parquet":

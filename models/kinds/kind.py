@@ -49,8 +49,8 @@ class Variation(CheckedFields):
         super().__post_init__()
         if not (0 < self.smallest <= 1 <= self.largest <= LARGEST and self.smallest < self.largest):
             raise InputError(
-                f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; give one above 0 and at most 1, and "
-                "a larger one that is at least 1"
+                f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; the smallest factor must be above "
+                "0 and at most 1, and the largest factor must be at least 1, but not equal to the smallest"
             )
 
     def __str__(self) -> str:
@@ -605,8 +605,9 @@ class VehicleKind(CheckedFields):
                 raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move the masses between the wheels")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
-                    f"{tyre} at rest is {squeeze:.3g} m, the masses' weight over the tyre's stiffness; at most {MOST_SQUEEZE} m "
-                    "is allowed: check that masses are in kg and stiffness in N/m; lower the masses or raise the stiffness"
+                    f"{tyre} at rest is {squeeze:.3g} m (weight over tyre stiffness), but at most {MOST_SQUEEZE} m is "
+                    f"allowed: check that masses are in kg and stiffness in N/m; lower the masses or "
+                    "raise the stiffness"
                 )
         return checked
 

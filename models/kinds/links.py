@@ -65,7 +65,7 @@ LENGTHWAYS = (
         for axle in AXLES
     ),
     *(
-        _optional(name, "1", f"share of the axle's part of the moment m_s a h that links carry under {what}")
+        _optional(name, "1", f"share of this axle's part of the moment m_s a h that the suspension links carry under {what}")
         for what, names in UNDER.items()
         for name in names
     ),
@@ -155,7 +155,7 @@ def left_out(p: Parameters, angles: Collection[str]) -> str:
     axes = (("rolls", "roll_angle", (ROLL_CENTRES[0], ROLL_CENTRE)), ("pitches", "pitch_angle", (PITCH_CENTRE,)))
     turning = [turns for turns, angle, parts in axes if angle in angles and not any(part.name in p for part in parts)]
     how = " and ".join(turning)
-    return f"the model neglects the moment of the body's own weight as the body {how}" if turning else ""
+    return f"the model neglects the moment that the body's own weight causes when the body {how}" if turning else ""
 
 
 def check_links(p: Parameters) -> None:

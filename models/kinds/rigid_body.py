@@ -60,7 +60,10 @@ from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 # External loads on the body along the joints of its modes q, in the order of the modes.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
-    "centre_height", "m", "h, of the centre of mass above the ground; braking and cornering apply the moment m_s a h", usual=0.55
+    "centre_height",
+    "m",
+    "h, height of the centre of mass above the ground; braking and cornering apply the moment m_s a h",
+    usual=0.55,
 )
 AXLES = ("front", "rear")
 LONGEST = 50.0  # m, largest distance between wheels; larger values are probably in mm

@@ -66,7 +66,9 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
         InputError: a key or value is not allowed, or the vehicle type cannot have a seat.
     """
     if kind.folder != HERE:
-        raise InputError(f"[seat] is for built-in vehicle types; give {kind.name}.py a mass above the body, or omit the section")
+        raise InputError(
+            f"[seat] applies only to built-in vehicle types; add a mass above the body to {kind.name}.py, or omit the section"
+        )
     seat, type_with_seat = read("[seat]", Seat, section), seated_kind(kind)
     known = {one.name for one in type_with_seat.parameters}
     for key, (_, words) in TURNS.items():
@@ -75,7 +77,7 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
     own = {f"seat_{key}": getattr(seat, key) for key in keys(Seat) if f"seat_{key}" in known}
     if twice := [name for name in own if name in parameters]:
         key = twice[0].removeprefix("seat_")
-        raise InputError(f"[parameters] {twice[0]} is {key} of [seat]; omit {twice[0]} in [parameters]")
+        raise InputError(f"[parameters] {twice[0]} is already given as {key} in [seat]; omit {twice[0]} in [parameters]")
     return type_with_seat, {**parameters, **own}
 
 

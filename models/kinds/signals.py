@@ -51,9 +51,13 @@ TYRE_DEFLECTION = Signal("tyre_deflection", "z_u - z_r", "m", "tyre extension, n
 SPRUNG_VELOCITY = Signal("sprung_velocity", "z_s'", "m/s", "vertical velocity of the sprung mass, up")
 UNSPRUNG_VELOCITY = Signal("unsprung_velocity", "z_u'", "m/s", "vertical velocity of the unsprung mass, up")
 SPRUNG_ACCELERATION = Signal("sprung_acceleration", "z_s''", "m/s2", "vertical acceleration of the sprung mass, up")
-SPRUNG_DISPLACEMENT = Signal("sprung_displacement", "z_s", "m", "height of the sprung mass above its rest on a flat road")
-UNSPRUNG_DISPLACEMENT = Signal("unsprung_displacement", "z_u", "m", "height of the unsprung mass above its rest on a flat road")
-HEAVE_DISPLACEMENT = Signal("heave_displacement", "z", "m", "height of the body's centre of mass above its rest on a flat road")
+SPRUNG_DISPLACEMENT = Signal("sprung_displacement", "z_s", "m", "height of the sprung mass above its equilibrium on a flat road")
+UNSPRUNG_DISPLACEMENT = Signal(
+    "unsprung_displacement", "z_u", "m", "height of the unsprung mass above its equilibrium on a flat road"
+)
+HEAVE_DISPLACEMENT = Signal(
+    "heave_displacement", "z", "m", "height of the body's centre of mass above its equilibrium on a flat road"
+)
 UNSPRUNG_ACCELERATION = Signal("unsprung_acceleration", "z_u''", "m/s2", "vertical acceleration of the unsprung mass, up")
 HEAVE_VELOCITY = Signal("heave_velocity", "z'", "m/s", "vertical velocity of the body's centre of mass, up")
 PITCH_RATE = Signal("pitch_rate", "theta'", "rad/s", "pitch velocity of the body, nose down")
@@ -67,11 +71,13 @@ SEAT_ACCELERATION = Signal("seat_acceleration", "z_p''", "m/s2", "vertical accel
 CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive if it lifts the body and presses the wheel down")
 DAMPING = Signal("damping", "c", "N s/m", "damping coefficient of the semi-active damper")
 VOLTAGE = Signal("voltage", "u", "V", "voltage of the semi-active damper")
-MISSING_FORCE = Signal("missing_force", "u* - u", "N", "requested force that the semi-active damper did not reach at its sample")
+MISSING_FORCE = Signal(
+    "missing_force", "u* - u", "N", "part of the requested force that the semi-active damper could not supply at its sample"
+)
 HEAVE_LOAD = Signal("heave_load", "F", "N", "external force on the body at its centre of mass, up")
 PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "external moment on the body, nose down")
 ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "external moment on the body, right side down")
-WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force on the wheel by links and by the inertia of its own mass, up")
+WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force on the wheel from its links and from its own inertia, up")
 
 
 def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:

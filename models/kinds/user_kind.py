@@ -50,7 +50,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
             has = f"KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "the file defines no KIND"
             raise InputError(f"{has}; end the file with KIND = VehicleKind(...), as in docs/how-to/custom-vehicle-type.md")
         if kind.name != name:
-            raise InputError(f"its KIND has the name {kind.name!r}; give it the name {name!r} of its files")
+            raise InputError(f"KIND has the name {kind.name!r}, but its files are named {name!r}; use one name for both")
         check_parts(kind)
     return _guarded_kind(path, replace(kind, folder=folder))
 
@@ -148,7 +148,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
         ("loads", model.loads, tuple(load.name for load in kind.loads)),
     ):
         if given != wanted:
-            names = f"{first_few(given) or 'none'}; return those of the vehicle type in its order, {first_few(wanted) or 'none'}"
+            names = f"{first_few(given) or 'none'}; return, in this order, {first_few(wanted) or 'none'}"
             raise InputError(f"linear_model returns the {what} {names}")
     for what, names in {
         "no states; return at least one": () if model.states else ("",),

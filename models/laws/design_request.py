@@ -48,7 +48,9 @@ class Demands(Section):
 
     stable: Annotated[bool, Flag("the law of full order is stable by itself")] = False
     fastest_pole: Annotated[float, SI("rad/s", "largest magnitude of the poles of the loop", high=1e9)] | None = None
-    anti_windup: Annotated[float, SI("1/s", "rate of the anti-windup of the law's states", high=1e6)] | None = None
+    anti_windup: (
+        Annotated[float, SI("1/s", "rate at which the law's states follow clipped forces (anti-windup)", high=1e6)] | None
+    ) = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

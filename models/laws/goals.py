@@ -114,7 +114,7 @@ class NormOf(Section):
 class Minimise(NormOf):
     """The norm that is minimised, and how the norms of a vehicle family are combined."""
 
-    over: Annotated[str, Choice("value over a family that is minimised", (WORST, REGRET), OVER)] = WORST
+    over: Annotated[str, Choice("what is minimised over a family of vehicles", (WORST, REGRET), OVER)] = WORST
 
 
 def _signal(value: Any, context: Mapping[str, Any]) -> str:
@@ -146,7 +146,7 @@ class PeakBound(Section):
 
     peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal, allowed=TEXT)]
     at_most: AtMost
-    road: Annotated[str, Text("road, as of `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
+    road: Annotated[str, Text("road, as for `roadproof drive --road`", ', as in "bump:height=0.08"')] = "bump"
     speed: Annotated[float, SI("m/s", "speed of the vehicle; 12.5 m/s without this key", 0.1, 200.0)] | None = None
 
 
@@ -155,10 +155,12 @@ class EnergyBound(Section):
     """Upper bound on the peak magnitude of a signal over all roads with a given energy."""
 
     energy_peak: Annotated[
-        str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal, allowed=TEXT)
+        str, ReadBy("signal whose largest magnitude over all roads of a given energy has a bound", _signal, allowed=TEXT)
     ]
     at_most: AtMost
-    energy: Annotated[float, SI("m2/s", "integral of the squared velocity under all wheels together", SMALLEST)] = 1.0
+    energy: Annotated[
+        float, SI("m2/s", "energy of the road: integral of its squared velocity, summed over all wheels", SMALLEST)
+    ] = 1.0
 
 
 @dataclass(frozen=True)
@@ -249,7 +251,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     for signal, used in zip(measured, zip(*rows, strict=True), strict=True):
         if not any(used):
             raise InputError(
-                f"{what}, but {signal!r} belongs to no corner; measure signals with the endings of the forces "
+                f"{what}, but {signal!r} is not from a corner; measure signals whose names end like those of the forces "
                 f"{list_names(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
             )
     for force, row in zip(corners, rows, strict=True):
@@ -258,7 +260,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     return rows
 
 
-FAMILY = "factors on parameters of each vehicle"
+FAMILY = "factors by which each vehicle changes parameters"
 FACTORS = ListedValues("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
 
 
@@ -275,13 +277,15 @@ class Goals(Section):
     ] = field(default_factory=Minimise)
     bounds: Annotated[
         tuple[Bound, ...],
-        ListedValues("bounds for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0),
+        ListedValues(
+            "bounds that hold for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0
+        ),
     ] = ()
     tolerance: Annotated[
         Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)
     ] = field(default_factory=dict)
     family: Annotated[tuple[Mapping[str, float], ...], ReadBy(f"{FAMILY}, or a file with them", FACTORS.read)] = ()
-    structure: Annotated[Any, ReadBy("rows of 0 and 1 by force, `corner`, or a law: `pi`, `pid`", _structure)] = None
+    structure: Annotated[Any, ReadBy("a row of 0 and 1 for each force, or `corner`, `pi` or `pid`", _structure)] = None
 
     def __post_init__(self) -> None:
         if self.over == REGRET and not self.family:

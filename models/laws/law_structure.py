@@ -89,7 +89,10 @@ class StructureSection(Goals):
     """Keys of a controller's section for the structure of a law, and for its goals."""
 
     order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order, allowed=ORDER)] | None = None
-    pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
+    pid: (
+        Annotated[PidSection, Subsection("gains and filter of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")]
+        | None
+    ) = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
         """Returns the structure of a law that is designed; None for a static gain, a full-order law or a given law.
@@ -111,7 +114,7 @@ class StructureSection(Goals):
                 "only filter in pid"
             )
         if self.structure == PI and pid.filter is not None:
-            raise InputError(f"{what} has no derivative, but the key pid sets a filter for one; omit pid")
+            raise InputError(f"{what} has no derivative, but the key pid sets the filter of a derivative; omit pid")
         if self.structure == PID and pid.filter is None:
             raise InputError(
                 f"{what} needs the time constant of the derivative's low-pass filter; give it in seconds, as in "

@@ -26,7 +26,7 @@ LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<
 FMU = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu))")
 GIVE = 'give a file next to the vehicle file and a function in this file, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
-AHEAD = SI("s", "time by which a law in Python or a design with preview knows the road ahead", 0.0, 60.0)
+AHEAD = SI("s", "time for which a law in Python or a preview design knows the road ahead", 0.0, 60.0)
 TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annotation gives the delay of their outputs
 
 
@@ -221,7 +221,9 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
     measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
     for signal in measured:
         if signal not in measurable:
-            raise InputError(f"{name}.measured: unknown signal {short_repr(signal)}; measurable are {alike(signal, measurable)}")
+            raise InputError(
+                f"{name}.measured: unknown signal {short_repr(signal)}; measurable signals are {alike(signal, measurable)}"
+            )
     try:
         source = inspect.getsource(function)
     except (OSError, TypeError):  # typed at a prompt, or an object

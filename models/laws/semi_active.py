@@ -270,11 +270,11 @@ DAMPING = "coefficient of a damper between body and sky"
 class SemiActiveSection(Section):
     """Keys of a controller's section with a semi-active law."""
 
-    semi_active: Annotated[str, Choice("semi-active law that ships", (*LAWS,))] | None = None
+    semi_active: Annotated[str, Choice("name of a built-in semi-active law", (*LAWS,))] | None = None
     sky_damping: Annotated[float, SI("N s/m", DAMPING, 0.0)] | None = None
     ground_damping: Annotated[float, SI("N s/m", "coefficient of a damper between wheel and ground", 0.0)] | None = None
     mix: Annotated[float, SI("1", "weight of skyhook: 1 is skyhook alone, 0 groundhook alone", 0.0, 1.0)] | None = None
-    crossover: Annotated[float, SI("rad/s", "frequency with skyhook below and ADD above")] | None = None
+    crossover: Annotated[float, SI("rad/s", "frequency below which skyhook acts, and above which ADD acts")] | None = None
     heave_damping: Annotated[float, SI("N s/m", f"{DAMPING}, for heave alone", 0.0)] | None = None
     pitch_damping: Annotated[float, SI("N s/m", f"{DAMPING}, for pitch alone", 0.0)] | None = None
     roll_damping: Annotated[float, SI("N s/m", f"{DAMPING}, for roll alone", 0.0)] | None = None

@@ -108,8 +108,8 @@ class Adjustable(SettablePart):
         nominal = vehicle.parameters[name]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{name} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
-                f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
+                f"{name} = {nominal:g} N s/m, the damping without a command, is not between c_min = {damper.c_min:g} and "
+                f"c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
             )
         one = cls(place.force, place.ending, damper, nominal, 1.0, _nominal_curve(damper, nominal, beside))
         _check_takes(name, one)
@@ -142,7 +142,7 @@ class Adjustable(SettablePart):
                 what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
                 what = what if one.damper.replaces else "of [parts]"
                 raise InputError(
-                    f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
+                    f"[controllers.{name}] measures {one.force}, but no sensor measures the force of a damper {what}; measure "
                     "suspension_velocity instead, or give numbers"
                 )
 

@@ -61,7 +61,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTab
         raise InputError(f"[curves] {min(names)}: a curve needs static_loads, which this vehicle type does not have; add them")
     for part in kind.suspensions:
         if part.ratio in names and not part.damping:
-            raise InputError(f"[curves] {part.ratio}: {part.deflection} has no damping parameter; set that of its Suspension")
+            raise InputError(f"[curves] {part.ratio}: {part.deflection} has no damping parameter; set damping in its Suspension")
     ratios = {}
     for parameter in kind.parameters:
         if parameter.name in names:
@@ -114,7 +114,8 @@ def curve_notes(curves: Mapping[str, ForceCurve], kind: VehicleKind, parameters:
         if carried and load is not None and abs(carried - load) > STATIC_LOAD_TOLERANCE * load:
             notes.append(
                 f"{name}: the table's force at rest is {round(carried, 1):g} N, but the static load is {round(load, 1):g} N, a "
-                f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"
+                f"difference of {round(load - carried, 1):+g} N; with preload = true, the equilibrium is where the table "
+                "carries the static load"
             )
     return notes
 

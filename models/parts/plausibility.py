@@ -40,8 +40,8 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
     compression, extension = (abs(float(firmest(x))) for x in (-v, v))
     if compression > REVERSED_RATIO * extension:
         yield (
-            f"the force at {round(v, 3):g} m/s is {round(compression)} N in compression and {round(extension)} N in extension, "
-            "where most dampers have the larger one; check that the velocity is positive in extension"
+            f"the force at {round(v, 3):g} m/s is {round(compression)} N in compression and {round(extension)} N in "
+            "extension, but most dampers have the larger force in extension; check that the velocity is positive in extension"
         )
 
 

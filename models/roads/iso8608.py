@@ -100,15 +100,23 @@ class Iso8608(Section, Road):
     seed: Annotated[int, Integer("seed of the phases", high=MOST_SEED)] = 0
     speed: Annotated[float, SI("m/s", "speed of the vehicle", 0.1, 200.0)] = 20.0
     track_width: Annotated[float, SI("m", "lateral distance from the right track to the left", 0.0, 10.0)] = 0.0
-    length: Annotated[float, SI("m", "distance after which it repeats; another length is another road", 100.0, 1e6)] = LENGTH
+    length: Annotated[
+        float, SI("m", "distance after which the road repeats; a different length gives a different road", 100.0, 1e6)
+    ] = LENGTH
     factor: Annotated[float, SI("1", "factor on the heights", -1e9, 1e9)] = 1.0
     iri: Annotated[float, IRI] | None = None
     gd: Annotated[float, SI("m3", "G_d(n0) before the factor, instead of a class", 1e-12, 1.0)] | None = None
     waviness: Annotated[float, SI("1", "waviness w", 1.0, 4.0)] = 2.0
     lowest: Annotated[
-        float, SI("1/m", "spatial frequency of the first line; in a text `band` has both, as in `band=0.011..2.83`", *BAND)
+        float,
+        SI(
+            "1/m",
+            "spatial frequency of the first spectral line; in a text, `band` gives the first and the last, as in "
+            "`band=0.011..2.83`",
+            *BAND,
+        ),
     ] = LOWEST
-    highest: Annotated[float, SI("1/m", "spatial frequency of the last line", *BAND)] = HIGHEST
+    highest: Annotated[float, SI("1/m", "spatial frequency of the last spectral line", *BAND)] = HIGHEST
 
     def __post_init__(self) -> None:
         check_fields(self, "road ")

@@ -309,7 +309,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
         raise InputError(f"{columns} are coordinates, but {longer}, {do}")
     repeated = int(np.sum(np.diff(distance) <= 0))
     remarks = [f"{columns} are coordinates; the distance is the length of their path, {rough(distance[-1])} m"]
-    remarks += [f"{repeated} points have the position of the point before, and are left out"] if repeated else []
+    remarks += [f"{repeated} points have the same position as the previous point, and are left out"] if repeated else []
     return distance, "; ".join(remarks + ([f"{longer}: check the positions for noise"] if noise > NOTABLE else []))
 
 

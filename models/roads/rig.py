@@ -69,7 +69,9 @@ class Rig(MeasuredRoad):
         for post in self.posts:
             if post_name(post) in _names(wheel):
                 return post
-        raise InputError(f"no column is called {_names(wheel)[0]} like the wheel; the columns are {list_names(self.posts[:20])}")
+        raise InputError(
+            f"no column has the name of the wheel, {_names(wheel)[0]}; the columns are {list_names(self.posts[:20])}"
+        )
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns 0, because the vehicle does not move forward."""

@@ -136,7 +136,7 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
     for signal in value:
         if signal not in context["signals"]:
             raise InputError(
-                f"{HERE}: unknown signal {short_repr(signal)}; measurable are {alike(signal, context['measurable'])}"
+                f"{HERE}: unknown signal {short_repr(signal)}; measurable signals are {alike(signal, context['measurable'])}"
             )
         if value.count(signal) > 1:
             raise InputError(f"{HERE} contains {signal!r} twice; list this signal once")
@@ -151,7 +151,7 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
                 f"{measurable}"
             )
     if study and not set(value) & set(context["heights"]):
-        raise InputError(f"{HERE} contains no height above a flat datum, but the section has study = true; omit study")
+        raise InputError(f"{HERE} contains no height above a flat datum, and only such heights need study = true; omit study")
     return tuple(value)
 
 
@@ -205,17 +205,19 @@ class GivenSection(SignalSection):
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
     noise: Annotated[bool, Flag("design for the noise of `[implementation]`", " (other sections define the amount)")] = False
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
-    sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
-    loads: Annotated[Mapping[str, float], BySignal("loads that count as much as 1 m/s of road", "loads", SMALLEST)] | None = None
+    sampled: Annotated[bool, Flag("whether to design for the sampled-data loop; default: as in `[implementation]`")] | None = None
+    loads: (
+        Annotated[Mapping[str, float], BySignal("loads that count as much as a road velocity of 1 m/s", "loads", SMALLEST)] | None
+    ) = None
     actuators: (
         Annotated[str, Choice("force actuators instead of semi-active dampers", (PUSHING_ACTUATORS,), OTHERWISE)] | None
     ) = None
 
     def __post_init__(self) -> None:
         if self.certificate is not None and not self.given:
-            raise InputError("certificate needs a section with a gain or a law; remove it here")
+            raise InputError("certificate is allowed only in a section with a gain or a law; remove it here")
         if self.loads is not None and not self.loads:
-            raise InputError("loads = {} is empty; give { load = value that equals 1 m/s of road }, or omit loads")
+            raise InputError("loads = {} is empty; give { load = value equivalent to 1 m/s of road velocity }, or omit loads")
 
     @property
     def given(self) -> bool:
@@ -340,8 +342,8 @@ def _entry(
         )
     if asked.design == PREVIEW and dampers:
         raise InputError(
-            f'design = "{PREVIEW}" acts before the road does, but semi-active dampers only resist motion; choose another design, '
-            "or omit [actuators]"
+            f'design = "{PREVIEW}" applies forces before the wheels reach a bump, but semi-active dampers only resist motion; '
+            "choose another design, or omit [actuators]"
         )
     request = DesignRequest(
         design=FULL if asked.order == FULL else asked.design or "",

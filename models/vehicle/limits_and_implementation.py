@@ -44,9 +44,10 @@ class LimitsSection(StopSection):
     actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
     actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
     force_rate: Annotated[float, SI("N/s", "largest change of every actuator's command per second")] | None = None
-    limit: Annotated[str, Choice("`command` limits the command before the lag, `force` the force behind it", ORDERS)] | None = (
-        None
-    )
+    limit: (
+        Annotated[str, Choice("`command` limits the command before the lag, and `force` limits the force after the lag", ORDERS)]
+        | None
+    ) = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,7 +55,7 @@ class LimitsSection(StopSection):
             raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
         if self.limit == "force" and self.force_rate is not None and self.actuator_bandwidth is not None:
             raise InputError(
-                'has limit = "force" and force_rate, but with a rate limit actuator_force limits commands, too; give '
+                'has limit = "force" and force_rate, but with a rate limit, actuator_force also limits the commands; give '
                 'limit = "command", or omit limit'
             )
 
@@ -224,7 +225,12 @@ class Implementation(Section):
 
     public_name = "an implementation, such as vehicle.implementation"
 
-    sample_period: Annotated[float, SI("s", "multiple of the timestep, which is the default", high=LONGEST_PERIOD)] | None = None
+    sample_period: (
+        Annotated[
+            float, SI("s", "time between two samples, a multiple of the timestep; default: the timestep", high=LONGEST_PERIOD)
+        ]
+        | None
+    ) = None
     delay: Annotated[float, ReadBy(LATE, _delay, allowed=SI("s", low=0, high=MOST_DELAY).json)] = 0
     noise: Annotated[Mapping[str, float], BySignal("rms of the white noise on measured signals")] = field(default_factory=dict)
     quantisation: Annotated[Mapping[str, float], BySignal("resolution of measured signals")] = field(default_factory=dict)

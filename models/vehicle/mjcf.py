@@ -160,7 +160,8 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         for one in parts:
             if one.tendon not in tendons:
                 raise InputError(
-                    f"it has no tendon {one.tendon!r}, but this suspension has {one.part.words}; add the tendon, or omit these"
+                    f"it has no tendon {one.tendon!r}, but this suspension has {one.part.words}; add the tendon, or omit this "
+                    "element"
                 )
             _check_line(tendons[one.tendon], one)
         native.sense_velocities(spec, pairs)
@@ -221,7 +222,8 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     actuators = len(_inputs(model))
     if actuators != len(vehicle.linear_model.inputs):
         raise InputError(
-            f"MJCF {kind.mjcf}: {actuators} actuators for {len(vehicle.linear_model.inputs)} inputs of linear_model; match both"
+            f"MJCF {kind.mjcf}: {actuators} actuators for {len(vehicle.linear_model.inputs)} inputs of linear_model; make "
+            "both numbers equal"
         )
     mocap = {model.body(i).name for i in range(model.nbody) if model.body(i).mocapid[0] >= 0}
     missing += [f"mocap body {wheel.road_body!r}" for wheel in kind.wheels if wheel.road_body not in mocap]

@@ -79,7 +79,8 @@ def apply_payload(
     about_rest += [part.damping for part in kind.suspensions if isinstance(curves.get(part.damping), ForceSurface)]
     if about_rest:
         raise InputError(
-            f"[payload] changes the ride height, but the curve {about_rest[0]} begins at the height without payload; omit "
+            f"[payload] changes the ride height, but the curve {about_rest[0]} starts from the ride height without payload; "
+            "omit "
             "[payload], and give the curve, mass and inertias of the laden car"
         )
     for where, given in named.items():
@@ -150,7 +151,7 @@ def _limits_at_laden_rest(
         if short := next((side for side in SIDES if left[side] <= 0), ""):
             raise InputError(
                 f"[payload] moves {part.deflection} by {stretched:.3g} m, beyond the {short} stroke of "
-                f"{pair[short].stroke:g} m; give less mass, or another place"
+                f"{pair[short].stroke:g} m; give less mass, or another position"
             )
         some = [side for side in SIDES if math.isfinite(pair[side].stroke)]
         strokes = StopPair(*(left[side] if side in some else None for side in SIDES))

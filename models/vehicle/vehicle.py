@@ -132,8 +132,8 @@ class VehicleFile(Section):
 SECTIONS = tuple(keys(VehicleFile))
 LIFTED, FASTEST = "height", 1e3  # key of the drop height in `[start]`; largest value allowed there [SI]
 PERSON = (
-    " is the acceleration of a mass above the body, so its ride is that of a person; name the points with a person as people in "
-    "KIND of"
+    " is the acceleration of a mass above the body, so its ride is evaluated like the ride of a person; list the points with "
+    "a person under people in KIND of"
 )
 
 
@@ -205,7 +205,7 @@ class Vehicle(ShownResult):
         for name, weight in self.performance.items():
             if name not in self.kind.possible or weight < 0:
                 known = list_names(signal.name for signal in self.kind.signals)
-                raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {known}")
+                raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights of 0 or more for {known}")
 
     def starting(self, **start: float | str) -> "Vehicle":
         """Returns the vehicle with another initial state of its runs, for drop and release tests.
@@ -430,8 +430,8 @@ class Vehicle(ShownResult):
         others = [name for name in named if name not in pushing]
         if pushing and others:
             raise InputError(
-                f"{list_names(pushing)} drive force actuators, and {list_names(others)} semi-active dampers; this command takes "
-                "one kind: select controllers of one kind with --controller"
+                f"{list_names(pushing)} drive force actuators, and {list_names(others)} drive semi-active dampers, but this "
+                "command accepts only one kind; select controllers of one kind with --controller"
             )
         return self.with_force_actuators if pushing else self
 

@@ -76,7 +76,7 @@ def _parser() -> Parser:
         "--picture",
         type=Path,
         metavar="FILE",
-        help="plot ride over road holding, a point for each controller (.png, .svg or .pdf)",
+        help="plot ride against road holding, with a point for each controller (.png, .svg or .pdf)",
     )
     parser.add_argument(
         "--best",

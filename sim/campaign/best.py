@@ -102,18 +102,23 @@ class Choice:
         request, candidate = self.request, self.candidate
         if candidate is None:
             absent = list_names([request.metric, *request.limits])
-            return Statement(f"{self.vehicle}: all {self.count} candidates have runs that broke off, without {absent}.", "fails")
+            return Statement(
+                f"{self.vehicle}: all {self.count} candidates have runs that ended early and have no {absent}.", "fails"
+            )
         drawn = "".join(f", {key} {DRAWN_KEY.digits(value)}" for key, value in self.values.items())
         who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"
         if self.within:
             numbers = ", ".join(f"{name} {VALUE.digits(value)}" for name, value in self.numbers.items())
-            count = f"{self.within} of {self.count} keep the limits" if request.limits else f"{self.count} were compared"
+            count = f"{self.within} of {self.count} satisfy the limits" if request.limits else f"{self.count} were compared"
             return Statement(f"{who} has the best {request.metric}{self.limits}: {numbers}. {count}.", "holds")
         missed = []
         for name, by in self.misses.items():
             share = f" ({percent(by / abs(request.limits[name]))})" if request.limits[name] else ""
             missed.append(f"{name} by {MISS.digits(by)} {request.units[name]}".rstrip() + share)
-        text = f"No candidate of {self.count} keeps {request.words}. {who} is nearest; it exceeds {' and '.join(missed)}."
+        text = (
+            f"None of the {self.count} candidates satisfies {request.words}. {who} comes closest, but exceeds "
+            f"{' and '.join(missed)}."
+        )
         return Statement(text, "fails")
 
     @property

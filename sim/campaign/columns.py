@@ -37,8 +37,14 @@ def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
     sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])
     laws = [variants[0] for of_vehicle in campaign.variants.values() for variants in of_vehicle.values()]
     of_law = "sampled value of this key of the control law; null for controllers without this key"
-    error = "largest difference of a state from the exact linear response until ended_at, over its peak; only for "
-    begun = "variance at the start of the measurement over the final variance, for the signal with the ratio furthest from 1"
+    error = (
+        "largest difference of a state from the exact linear response until ended_at, relative to the peak of the state; "
+        "only for "
+    )
+    begun = (
+        "ratio of the variance at the start of the measurement to the final variance, for the signal whose ratio is "
+        "furthest from 1"
+    )
     fields = [
         _column("run", INTEGER),
         _column("vehicle", TEXT),

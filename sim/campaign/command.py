@@ -91,7 +91,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         print_json(result)
         return 0 if within else 1
     now = f"{progress.done} of them simulated now, {RATE.text(progress.rate)}" if progress.done else "all simulated before"
-    lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
+    lines = [f"{plan.count} runs of {campaign.duration:g} s with a timestep of {campaign.timestep:g} s, {now}"]
     gains = [entry for some in manifest.controllers.values() for entry in some.items()]
     coded = {f"{name} in {one['code']['numbers']}" for name, one in gains if "code" in one}
     lines += [f"controllers that run as compiled code: {list_names(coded)}"] if coded else []
@@ -157,7 +157,7 @@ def _read(options: argparse.Namespace) -> Campaign:
             and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts
         ):
             after = "the straight road after its last point lowers every rms value"
-            complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
+            complain(f"remark: road {road.text!r} is shorter than a run of {lasts:g} s at {fastest:g} m/s; {after}")
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
     return campaign

@@ -65,7 +65,7 @@ class CampaignFile(Section):
     vehicles: Annotated[
         Texts, ListedValues("vehicle files next to this file, or names of built-in vehicles", Text(), EXAMPLES[0])
     ]
-    controllers: Annotated[Texts, ListedValues("names of controllers; every vehicle has them all", Text(), EXAMPLES[1])]
+    controllers: Annotated[Texts, ListedValues("names of controllers; every vehicle must have all of them", Text(), EXAMPLES[1])]
     roads: Annotated[
         Texts,
         ListedValues("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road), EXAMPLES[2]),
@@ -73,7 +73,10 @@ class CampaignFile(Section):
     speeds: Annotated[tuple[float, ...], ListedValues("speeds of the vehicles", SI("m/s", low=0.1, high=200.0), EXAMPLES[3])]
     seeds: Annotated[tuple[int, ...], ReadBy("seeds of the random roads, or their number; other roads run once", _seeds)] = (0,)
     duration: Annotated[float, SI("s", "duration of every run", 0.0, 1e6)] = 10.0
-    settle: Annotated[float, SI("s", "beginning of a run over a random road that is not measured", 0.0, 1e6)] | None = None
+    settle: (
+        Annotated[float, SI("s", "time at the start of a run over a random road that is left out of the metrics", 0.0, 1e6)]
+        | None
+    ) = None
     timestep: Annotated[float, SI("s", "timestep of the simulation", 0.0, 1.0)] = 1e-3
     samples: Annotated[Mapping[str, Any], AnyTable("section with distributions of parameters, `[samples]`")] | None = None
 

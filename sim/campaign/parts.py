@@ -116,7 +116,7 @@ def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, version
         raise InputError(f"{own} does not contain part {part}, but {'nothing' if manifest is None else manifest.part}; {AGAIN}")
     manifest.check(own, digest, versions, AGAIN)
     if manifest.controllers != plan.controllers:
-        raise InputError(f"part {part} was simulated with other gains than those in {folder / PARTS / NAME}; {AGAIN}")
+        raise InputError(f"part {part} was simulated with gains that differ from the gains in {folder / PARTS / NAME}; {AGAIN}")
 
 
 def check_complete(folder: Path, parts: Sequence[CampaignPart]) -> None:

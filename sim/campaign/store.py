@@ -128,7 +128,8 @@ class Store:
             table, at = store.read(self.schema.names), 0
             if not _are_runs(table, store.share):
                 raise InputError(
-                    f"results {store.results}: these are not the rows of this part; remove it, and run the part again"
+                    f"results {store.results}: this file does not contain the rows of this part; remove the file, and run the "
+                    "part again"
                 )
             for start, stop in store.share:
                 pieces[start] = table.slice(at, stop - start).replace_schema_metadata(self.schema.metadata)

@@ -71,7 +71,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         chosen: a candidate of each vehicle that its table always contains; None for no such candidate.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
-    begins = f", random roads from {campaign.settle:g} s on (settle)" if settles else ""
+    begins = f", random roads measured from {campaign.settle:g} s on (settle)" if settles else ""
     for vehicle, every in scores.items():
         shown = {chosen.get(vehicle)}
         for one in FIELDS:
@@ -82,7 +82,11 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
-        lines += ["", vehicle, *score_lines(some, f"MuJoCo, over all runs, with their largest peaks{begins}{absent}{left}")]
+        lines += [
+            "",
+            vehicle,
+            *score_lines(some, f"MuJoCo over all runs, with the largest peak of each controller{begins}{absent}{left}"),
+        ]
     return lines
 
 
@@ -175,7 +179,7 @@ STATISTICS = tuple(
 )
 COUNTS = tuple(
     Field[Line](label, lambda row, key=key: row[1].get(key, 0), ".0f", key=key)
-    for label, key in (("runs", "runs"), ("left linear", "left"), ("broke off", "broke_off"), ("failed", "failed"))
+    for label, key in (("runs", "runs"), ("left linear", "left"), ("ended early", "broke_off"), ("failed", "failed"))
 )
 FEW = 3  # largest number of controllers for which a sentence lists each count of runs
 SEEN = 6  # largest number of rows and of columns in the table of the ride
@@ -205,7 +209,7 @@ def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
         if kept:
             off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
             where = "On roads without such runs, the rms ride" if left else "The rms ride"
-            said.append(f"{of}{where} is within {percent(off)} of its predicted value, a mean over random roads.")
+            said.append(f"{of}{where} is within {percent(off)} of its predicted value, which is a mean over random roads.")
         blocks += notes(*said, *_remarks(whole))
     places = itertools.groupby(entries, lambda entry: (entry["vehicle"], entry["road"], entry["speed"]))
     return Document("", (*blocks, *(_place(*place, [*here]) for place, here in places)))
@@ -254,7 +258,9 @@ def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     for entry in entries:
         who = as_name(entry["controller"])
         if entry["broke_off"]:
-            said.append(f"{who}: {entry['broke_off']} of {entry['runs']} runs broke off. First reason: {entry['first_reason']}.")
+            said.append(
+                f"{who}: {entry['broke_off']} of {entry['runs']} runs ended early. First reason: {entry['first_reason']}."
+            )
         if "law" in entry:
             what = f"{PythonLaw(entry['law']).with_article}, {entry['law']}"
             said.append(f"{who} is {what}. Linear analysis does not apply to this controller, so nothing is predicted.")

@@ -82,7 +82,8 @@ def _check_address(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
     except OSError as error:
         raise InputError(
-            f"--ray {address}: the address does not answer ({error.strerror or error}); give that printed by ray start --head"
+            f"--ray {address}: the address does not answer ({error.strerror or error}); give the address that ray start "
+            "--head prints"
         ) from error
 
 

@@ -113,7 +113,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
     logs = parser.add_mutually_exclusive_group()
     logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="do not write log files")
-    parser.add_argument("--allow-unstable", action="store_true", help="exit code 0 although a closed loop is unstable")
+    parser.add_argument("--allow-unstable", action="store_true", help="return exit code 0 even if a closed loop is unstable")
     view = parser.add_mutually_exclusive_group()
     view.add_argument(
         "--open", action="store_true", help="open the recording in a window of Rerun, which stays open after the command"
@@ -139,12 +139,12 @@ def add_measured(parser: Parser) -> None:
         action="append",
         default=[],
         metavar="SIGNAL=HEADING",
-        help="heading of the column with a signal, if it is not the name of the signal; may be repeated",
+        help="heading of the column that contains a signal, if the heading is not the name of the signal; may be repeated",
     )
     parser.add_number("--beside-start", None, "s", "time of the log at which the runs start", "largest correlation")
     parser.add_number("--beside-rate", None, "Hz", "sample rate of a log without a column of time", "column of time")
     parser.add_argument(
-        "--beside-remove-offset", action="store_true", help="remove the mean difference from each measured signal"
+        "--beside-remove-offset", action="store_true", help="subtract its mean difference from MuJoCo from each measured signal"
     )
 
 

@@ -165,7 +165,8 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
         signals = (*signals, *states)
     if {*logged.names} != {signal.name for signal in signals}:
         raise InputError(
-            f"the {name} response has other signals than a {vehicle.kind.name}: {list_names(s.name for s in signals)}"
+            f"the {name} response has signals that differ from the signals of a {vehicle.kind.name}: "
+            f"{list_names(s.name for s in signals)}"
         )
     columns = [logged.names.index(signal.name) for signal in signals]
     return Response(np.arange(len(logged.times)) * timestep, signals, logged.values[:, columns])

@@ -207,7 +207,8 @@ def _pulls(
         motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
         if not np.iscomplexobj(seen[-1][1]):
             raise InputError(
-                "`motion` of this vehicle type discards the imaginary part of states, which an inerter needs; keep it"
+                "`motion` of this vehicle type discards the imaginary part of states, which an inerter needs; keep the "
+                "imaginary part"
             )
         return np.imag(seen[-1][1]) / STEP
 

@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise InputError(f"--one-page and --{given[0].replace('exported', 'as')} cannot be combined; omit one of them")
     subjects = _subjects(options)
     if len(subjects) > 1 and options.exported is not None:
-        raise InputError("--as works with one vehicle, and several are given; give one --vehicle")
+        raise InputError("--as works with one vehicle, but several are given; give one --vehicle")
     outputs = _outputs(options, subjects)
     for title, (vehicle, _) in subjects.items():
         check_outputs(outputs[title], [*vehicle.files, *named_files((options.road, *options.loads))], options.json)
@@ -328,21 +328,25 @@ def _parser() -> Parser:
     parser = Parser("sim.report", "Write one HTML page about a vehicle file and its controllers.", EPILOG)
     parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", "a page for each and one table")
     parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="page (default: report-VEHICLE.html, report-gallery.html)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="file of the page (default: report-VEHICLE.html, report-gallery.html)"
+    )
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )
     parser.add_argument(
         "--one-page", action="store_true", help="write only the comparison over the road (default: class C) on one page of A4"
     )
-    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: a few seconds instead of 20 s")
+    parser.add_argument("--quick", action="store_true", help="omit margins, map and ride; takes a few seconds instead of 20 s")
     parser.add_argument(
         "--front",
         metavar="AXES",
         help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
         "MuJoCo runs of some designs; takes half a minute more",
     )
-    parser.add_exported("add the exported code in this folder of python -m synth --export, and its effect")
+    parser.add_exported(
+        "describe the exported code in this folder, which python -m synth --export wrote, and its effect on the run"
+    )
     add_road(parser, "none")
     parser.add_number("--duration", 20.0, "s", "duration of the run over the road")
     parser.add_loads("add a load on a flat road; with --road or --class it acts there, too", LOAD_SYNTAX)

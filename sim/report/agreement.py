@@ -36,7 +36,10 @@ def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure
     Returns None if the vehicle has only linear springs and dampers.
     """
     panels = tuple(_panel(scope, diagram, runs) for diagram in diagrams(scope.vehicle))
-    title = f"Forces over {where}. Lines: characteristics or limits, and their linearisation. Points: MuJoCo, with the actuator."
+    title = (
+        f"Forces over {where}. Lines: characteristics or limits, and their linearisation. Points: MuJoCo, including the "
+        "actuator force."
+    )
     return Figure("suspension", title, panels, columns=min(2, len(panels))) if panels else None
 
 
@@ -152,7 +155,8 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
         "A run agrees if every MuJoCo step equals one RK4 step of the vehicle's equations, and every command equals the control "
         "law evaluated on the run's measurements.",
         f"The distance from {reference} is a measurement: the largest difference until linear analysis ends, relative to the "
-        f"signal's peak. Its order is the power of the step with which it shrinks, from {step:g} to {step / 2:g} ms.",
+        f"signal's peak. Its order is the power of the timestep with which this difference shrinks, from {step:g} to "
+        f"{step / 2:g} ms.",
     ]
     if len(finer) < len(runs):
         texts.append(f"Orders are given for {names_text(finer)} only.")
@@ -169,8 +173,8 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
         )
     if prompt and linear:
         texts.append(
-            "The sampled response tends to the continuous one with order 1, as the force is held over a step; without a force, "
-            "with order 2."
+            "The sampled response tends to the continuous one with order 1, because the force is held over a step. Without a "
+            "control force, the order is 2."
         )
     caption = (
         "Distance of MuJoCo from the sampled response, relative to each peak. The full table adds allowed distances and orders."

@@ -139,14 +139,15 @@ def paper_section(scope: Subject, progress: Progress) -> Document:
     headings = ("equation", "quantity", "to the digits printed", "paper", "ours")
     caption = "All numbers of the designs in the paper, and the same numbers computed here, with two more digits."
     texts = [
-        "Remark 4: with L = 0 and the states (30), (25) has no solution. With the car's absolute motion as states and the road's "
-        "height as w, as in [33], it has one for `I`, whose gain grows without bound near the optimum, and none for `II`."
+        "Remark 4: With L = 0 and the states (30), problem (25) has no solution. With the absolute motion of the car as "
+        "states and the road height as w, as in [33], (25) has a solution for `I`, whose gain grows without bound near the "
+        "optimum, and no solution for `II`."
     ]
     tables = [Table("paper", caption, headings, tuple(rows), words=3), without_l(scope.designer)]
     if not scope.quick:
         progress("a genetic algorithm")
         tables.append(other_ways(scope.designer))
-        texts.append("Remark 5: differential evolution minimises the norm itself. Times are of this machine.")
+        texts.append("Remark 5: differential evolution minimises the norm itself. Times are measured on this machine.")
     return Document("Numbers of the paper", (*notes(*texts), *tables))
 
 

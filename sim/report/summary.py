@@ -130,7 +130,7 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:
         where = f"{scope.road_name}, {when}"
-    absent = "; -: unstable, or a run broke off" if any(not any(one.values.values()) for one in compared) else ""
+    absent = "; -: unstable, or a run ended early" if any(not any(one.values.values()) for one in compared) else ""
     return f"MuJoCo, {where}{absent}"
 
 

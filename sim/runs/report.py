@@ -187,7 +187,9 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns the control law of a controller, its norm and bound, and remarks, one sentence each."""
     if controller.linear is False:
         forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
-        forced = [one + "; sampled has the characteristics, too" * vehicle.parts.nonlinear for one in forced]
+        forced = [
+            one + "; the column sampled also includes the nonlinear characteristics" * vehicle.parts.nonlinear for one in forced
+        ]
         return [controller.text, claims(controller), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
@@ -239,7 +241,7 @@ def verdict(run: RunResult) -> Statement:
     if not words:
         reference = f"{run.prediction.reference} applies {_when(run)}" if run.prediction.is_linear else NO_REFERENCE
         if run.prediction.is_linear and agreement.until <= 0:
-            reference = f"nothing is compared with {run.prediction.reference}, which applies {_when(run)}"
+            reference = f"there is no comparison with {run.prediction.reference}, which applies only {_when(run)}"
         words += ["MuJoCo agrees with the model", reference]
         words += [f"its linearisation at equilibrium is {off}"] if (off := line_words(run)) else []
     if commands is not None and not commands.repeatable:
@@ -340,7 +342,7 @@ def _events(run: RunResult) -> Iterator[str]:
         how = ", by direct feedback of its own force" if law_margins(vehicle, run.controller).own_force else ""
         yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step{how}"
     elif radius == 1:
-        yield "marginal: a mode of the sampled loop neither grows nor decays, to rounding"
+        yield "marginal: a mode of the sampled loop neither grows nor decays, within rounding"
     if run.physics.law_diverged:
         yield f"{LAW_OVERFLOW}: {LAW_DIVERGED.format(when=WHEN.text(run.diverged))}"
     elif math.isfinite(run.diverged):
@@ -403,7 +405,8 @@ def _checks(run: RunResult) -> Iterator[Statement]:
 def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     error = DIFFERENCE.digits(one.error) if one.error else "0"
     text = (
-        f"{subject} {what}: largest error {error} of a peak ({one.signal}), {ALLOWED_DIFFERENCE.digits(one.allowed)} is allowed"
+        f"{subject} {what}: largest error {error} of a peak ({one.signal}); at most "
+        f"{ALLOWED_DIFFERENCE.digits(one.allowed)} is allowed"
     )
     return Statement(text, "note" if one.agrees else "fails")
 
@@ -415,7 +418,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"{NO_REFERENCE}: a law that sets semi-active dampers is not linear, even at small amplitudes")
         return
     if agreement.until <= 0:
-        yield Statement(f"nothing is compared with {run.prediction.reference}, which applies {_when(run)}")
+        yield Statement(f"there is no comparison with {run.prediction.reference}, which applies only {_when(run)}")
         return
     wrong = [name for name, signal in signals.items() if not signal.agrees]
     worst = max(wrong or signals, key=lambda name: signals[name].excess if wrong else signals[name].sampled)
@@ -429,9 +432,11 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     if wrong:
         size, own = f"{size} of a peak{small} ({worst})", DIFFERENCE.digits(signal.allowed)
         if agreement.follows_linear:  # the checks of steps and commands determine the verdict
-            yield Statement(f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding make {own}")
+            yield Statement(
+                f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding account for {own}"
+            )
         else:
-            wrong_by = f"the largest difference is {size}, {own} is allowed"
+            wrong_by = f"the largest difference is {size}, but at most {own} is allowed"
             yield Statement(f"MuJoCo DOES NOT AGREE with {what} {_when(run)}: {wrong_by}", "fails")
     else:
         yield Statement(
@@ -441,7 +446,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     if off := line_words(run):
         name = max(run.line_errors, key=run.line_errors.__getitem__)
         yield Statement(
-            f"the linearisation at equilibrium, on which norm, margins and designs are based, is {off} in MuJoCo {_when(run)} "
+            f"norm, margins and designs are based on the linearisation at equilibrium, which is {off} in MuJoCo {_when(run)} "
             f"(worst: {name})"
         )
     if agreement.coarse:
@@ -457,7 +462,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         return
     of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} exchanged"
     if energy.least is not None and energy.least < 0 and energy.fails:
-        given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it absorbed"
+        given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the largest energy that it absorbed"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
     elif energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
@@ -467,7 +472,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, {ENERGY[-1].cell(energy)} is allowed"
+        more = f"{of} is neither stored nor dissipated, but at most {ENERGY[-1].cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
@@ -548,7 +553,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
         of_voltage = not all(one.replaces for one in run.vehicle.dampers.values())
         what = "the voltage" if of_voltage else "the damping coefficient"
         acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on {what}"
-        texts.append(f"{acts}, not on the force, which follows the present suspension velocity")
+        texts.append(f"{acts}, not on the force, which follows the current suspension velocity")
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:

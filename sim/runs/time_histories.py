@@ -210,7 +210,7 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
         panels, columns = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2
         note = f". Each signal is shown over the whole run, then from {WHEN.digits(during[0])} to {WHEN.text(during[1])}"
     broken = [
-        f"{as_name(run.controller.name)} broke off at {WHEN.text(off[1])} ({off[0]})"
+        f"{as_name(run.controller.name)} ended early, at {WHEN.text(off[1])} ({off[0]})"
         for run in runs
         if (off := run.broke_off) is not None
     ]

@@ -20,7 +20,7 @@ def write_certificates(folder: Path, vehicle: Vehicle, controllers: Sequence[Con
     """
     texts = certificate_texts(vehicle, controllers)
     if not texts:
-        raise InputError(f"--certificates {folder}: no controller measures anything; give one that does")
+        raise InputError(f"--certificates {folder}: no controller has measured signals; give a controller with measured signals")
     with made_folder(folder, OPTION), together():
         for name, text in texts.items():
             with whole_file(folder / name, OPTION) as part:

@@ -316,7 +316,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
         if certificate is not None and certificate.bound is not None and not (entry and entry.law is not None):
             norms[row.name] = certificate.norm.value
     worse = ", ".join(f"{as_name(name)} {NORM.digits(norm)}" for name, norm in norms.items() if norm > WORSE * designs.without)
-    text = f"WARNING: the norm of these designs is above that without control, {NORM.digits(designs.without)}: {worse}"
+    text = f"WARNING: the norm of these designs is above the norm without control, {NORM.digits(designs.without)}: {worse}"
     return notes(text, detail="brief") if worse else ()
 
 
@@ -337,7 +337,7 @@ def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> t
     changes = {name: CHANGE.text(CHANGE.value(ride / passive)) for name, ride in rides.items() if passive and name != "passive"}
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
-    given = ", if dampers give every force" if designs.vehicle.dampers else ""
+    given = ", if dampers could supply every force" if designs.vehicle.dampers else ""
     method = f", by {METHOD}" if designs.vehicle.parts.nonlinear else ""
     loop = f"Ride{f' at {at}' if at else ''} of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}{method}"
     said = [f"{loop} [{RIDE.unit}]: {listed}"]

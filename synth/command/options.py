@@ -111,8 +111,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="compute how large errors of measurements and forces, in percent, may be until the loop is unstable or its norm 1 "
-        "or 10 %% higher (proved and found), and the norm with the law's numbers rounded to int16 or float16",
+        help="compute how large the errors of measurements and forces may be, in percent, before the loop becomes unstable or "
+        "its norm rises by 1 or 10 %% (proved and found), and the norm after rounding the law's coefficients to int16 or "
+        "float16",
     )
     parser.add_argument(
         "--check",

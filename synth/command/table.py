@@ -204,7 +204,8 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
 
 
 EXPLANATION = (
-    "LMI (20) proves the bound, two other methods compute the norm. No controller with the same measurements, of any order, has "
+    "LMI (20) proves the bound, and two other methods compute the norm. No controller with the same measurements, of any "
+    "order, has "
     "a norm below the lower bound."
 )
 

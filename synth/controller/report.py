@@ -105,7 +105,7 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
         return ()
     which = "is below" if norm.reached > norm.upper else "differs from"
-    reached = f"the gain that a disturbance reaches, by a relative {APART.cell(norm)}"
+    reached = f"the gain that a disturbance reaches, by {APART.cell(norm)} (relative)"
     return (f"the sampled norm {NORM_AS_IMPLEMENTED.cell(norm)} {which} {reached}",)
 
 
@@ -225,7 +225,7 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     texts = [] if vehicle.ideal else [f"{OF} the ideal loop: continuous, without [limits] and [implementation]{but}."]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         lag = ", and without the lag of their valves" if any(one.damper.bandwidth for one in vehicle.parts.adjustable) else ""
-        texts.append(f"{OF} a loop whose semi-active dampers give every force{lag}.")
+        texts.append(f"{OF} a loop whose semi-active dampers can supply every requested force{lag}.")
     return [*texts, *line_notes(vehicle)]
 
 
@@ -265,7 +265,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     notes += [f"WARNING: small {margins.small}"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
-        follows = f"when forces are clipped, the states of the law follow the clipped forces at {rate:g} 1/s or faster"
+        follows = f"when forces are clipped, the states of the law follow the clipped forces at a rate of {rate:g} 1/s or faster"
         notes.append(f"anti-windup: {follows if controller.law.states else 'none, as this law has no states'}")
     return notes
 
@@ -277,8 +277,8 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     """Returns notes about the filters in z and w and their poles, if there are filters."""
     if not vehicle.filtered:
         return []
-    texts = [f"{row.name} through {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
-    texts += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
+    texts = [f"{row.name} filtered by {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
+    texts += [f"w filtered by {vehicle.road_filter.words} to get the road's velocity"] if vehicle.road_filter is not None else []
     states = vehicle.road_filter is not None or any(name.startswith("filter_of_") for name in plant_states(vehicle))
     poles = "; the poles of these filters do not depend on control and are not listed" if states else ""
     lines = [f"norms include filters: {', '.join(texts)}{poles}"]
@@ -315,13 +315,13 @@ def judged_lines(controller: Controller) -> list[str]:
     texts = [FEEDBACK_ALONE] if controller.preview is not None else []
     texts += [f"norm and bounds include noise: an rms of {noise} counts {as_road}"] if noise else []
     if loads:
-        omit = "sampled norms, and norms that sim.sweep measures, include no loads"
+        omit = "sampled norms, and norms that sim.sweep measures, do not include loads"
         texts.append(f"norm and bounds include loads: {loads} each count {as_road}; {omit}")
     if controller.law.states and controller.law.sample_period is not None:
         texts.append("the law is discrete: norm, bounds and poles are those of its continuous counterpart (Tustin's method)")
     if hardware.bandwidth is not None:
         lag = f"the actuators' lag, {hardware.bandwidth:g} rad/s"
-        texts.append(f"norm, bounds and poles include {lag}; the force in z is the commanded one")
+        texts.append(f"norm, bounds and poles include {lag}; the force in z is the commanded force")
     return texts
 
 

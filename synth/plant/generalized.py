@@ -109,12 +109,13 @@ class Plant:
             matrix, shape = getattr(self, name), (size[rows], size[columns])
             if matrix.shape != shape:
                 raise InputError(
-                    f"{name} has shape {matrix.shape}, and must have {shape}: A has {size['n']} row(s), B {size['m']} column(s), "
+                    f"{name} has shape {matrix.shape}, but must have the shape {shape}: A has {size['n']} row(s), B "
+                    f"{size['m']} column(s), "
                     f"Bw {size['r']} column(s) and C {size['d']} row(s)"
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
-                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, zeros if nothing acts there")
+                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, with zeros if nothing acts there")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
             raise InputError(f"weights = {self.weights} exceed the {size['n']} states; give at most {size['n']}")

@@ -271,7 +271,10 @@ class Designer:
         """
         expected = len(self.vehicle.linear_model.inputs), len(measured)
         if law.D.shape != expected:
-            raise InputError(f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: forces, measured signals")
+            raise InputError(
+                f"controller {name!r} has a D of shape {law.D.shape}; expected {expected}: a row for each force, "
+                "a column for each measured signal"
+            )
         return self._given(ControllerEntry(name, tuple(measured), law, hardware=hardware), law)
 
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:

@@ -162,11 +162,11 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         choice = choose_road(bound.road)
         road = choice.build(vehicle, bound.speed or USUAL_SPEED, 0, 0.0)
     if choice.loads:
-        raise InputError(f"{where} has loads, but a peak is bounded over the road alone; omit the loads")
+        raise InputError(f"{where} has loads, but a bound on a peak covers only the road; omit the loads")
     if road.jumps:
-        raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
+        raise InputError(f"{where} has a vertical edge, which is an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
-        raise InputError(f"{where} has no end and therefore no largest value; give a bump, a step, a hump or a pothole")
+        raise InputError(f"{where} does not end, so its peaks have no largest value; give a bump, a step, a hump or a pothole")
     return road
 
 

@@ -75,7 +75,9 @@ def from_state_space(
     z, y = [outputs.index(name) for name in weights], [outputs.index(name) for name in measured]
     for name, row in zip(measured, D[y], strict=True):
         if np.any(row):
-            raise InputError(f"measured signal {name!r} contains an input directly; a static controller measures states only")
+            raise InputError(
+                f"measured signal {name!r} depends directly on an input, but a static controller can measure only states"
+            )
     weight = np.array(list(weights.values()))[:, None]
     direct = weight * D[z]
     return Plant(A, B[:, u], B[:, w], weight * C[z], direct[:, u], direct[:, w], dt=dt), C[y]

@@ -113,7 +113,7 @@ def test_a_wrong_vehicle_does_not_agree(vehicle, controllers, height, duration):
         f"MuJoCo DOES NOT AGREE with the equations of motion from {steps.since:.4g} s on ({steps.signal})"
     )
     (line,) = [one.text for one in reasons(run) if one.text.startswith("DOES NOT AGREE from ")]
-    assert line.endswith(f"largest error {steps.error:.1e} of a peak ({steps.signal}), {steps.allowed:.0e} is allowed")
+    assert line.endswith(f"largest error {steps.error:.1e} of a peak ({steps.signal}); at most {steps.allowed:.0e} is allowed")
 
 
 def test_an_exactly_linear_run_follows_its_sampled_response(vehicle, controllers):

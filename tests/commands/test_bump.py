@@ -264,7 +264,7 @@ def test_a_picture_is_of_the_signals():
     assert figure is not None
     assert figure.finding.startswith("`I_printed` has the lowest peak of sprung acceleration, ")
     assert runs[2].broke_off is not None
-    assert figure.title.endswith(f". `wild` broke off at {runs[2].broke_off[1]:.4g} s (flat tyre)")
+    assert figure.title.endswith(f". `wild` ended early, at {runs[2].broke_off[1]:.4g} s (flat tyre)")
     assert "leaves the axis: `wild` at " in figure.panels[0].title
     weighed = [name for name, weight in wild.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]

@@ -195,15 +195,15 @@ def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, na
     [
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-1.0, 1.0] }", "has 3 values of velocity and 2 of force"),
         ("{ velocity = [-1.0, 1.0, 0.0], force = [-1.0, 0.0, 1.0] }", "from 1 to 0 m/s at point 3; sort the points by velocity"),
-        ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give both sides of rest"),
+        ("{ velocity = [0.1, 1.0], force = [10.0, 100.0] }", "give values on both sides of equilibrium"),
         ("{ velocity = [-1000, 0, 1000], force = [-900, 0, 900] }", "at most 50 m/s is allowed; give m/s, not mm/s"),
-        ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N: that feeds energy in"),
+        ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N, which would supply energy"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
         ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
         ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
         ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "the force differs by at most 0 N from the force at rest"),
-        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),
-        ('{ file = "x.csv" }', "names a file, which is read for a vehicle file alone"),
+        ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; the friction F tanh"),
+        ('{ file = "x.csv" }', "names a file, but a vehicle that is read from text cannot refer to files"),
         ("{ deflection = [-0.1, 0.0, 0.1], force = [1000, 0, -1000] }", "its slope at rest is not above 0"),
         ("{ deflection = [-100, 0, 100], force = [-1000, 0, 1000] }", "at most 5 m is allowed; give m, not mm"),
     ],
@@ -291,11 +291,15 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "column 1, 'velocity', has no unit (allowed: cm/s"),
         ("a.csv", "velocity [km], force [N]\n-1, -10\n1, 10\n", "has the unit 'km' (allowed: cm/s, ft/s, in/s, m/s, mm/s"),
         ("a.csv", "speed [m/s], compression [N], rebound [N]\n-1, 10, 10\n1, 20, 20\n", "has a speed below 0; give"),
-        ("a.csv", "speed [m/s], compression [N], rebound [N]\n0, 90, -90\n1, 200, 300\n", "has 90 and -90 N at 0 m/s, as of a"),
-        ("a.csv", "speed [m/s], compression [N], rebound [N]\n1, 190, -10\n2, 200, 300\n", "has 190 and -10 N at 1 m/s, as of a"),
-        ("a.csv", "velocity [m/s], 2 clicks [N], 6 clicks [N]\n-1, -9, -8\n1, 9, 8\n", "give two, velocity and force, of one"),
+        ("a.csv", "speed [m/s], compression [N], rebound [N]\n0, 90, -90\n1, 200, 300\n", "has 90 and -90 N at 0 m/s, "
+            "probably because of a"),
+        ("a.csv", "speed [m/s], compression [N], rebound [N]\n1, 190, -10\n2, 200, 300\n", "has 190 and -10 N at 1 m/s, "
+            "probably because of a"),
+        ("a.csv", "velocity [m/s], 2 clicks [N], 6 clicks [N]\n-1, -9, -8\n1, 9, 8\n", "it needs the two columns velocity and "
+            "force, of one"),
         ("a.csv", "speed [m/s], force [N], rebound clicks [-]\n-1, -9, 8\n1, 9, 8\n", "which direction is positive? Write"),
-        ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be thousands; write"),
+        ("a.csv", 'velocity [m/s], force [N]\n-1, -900\n1, "1,000"\n', "line 3 has '1,000', which may be a thousands "
+            "separator; write"),
         ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "'speed [m/s]'; which direction is positive? Write"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is not a finite number; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "has the columns deflection, force; give velocity and force"),
@@ -374,7 +378,8 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     said = (
-        "Here, MuJoCo has straight lines instead of the characteristics of suspension damping, which have a kink at equilibrium"
+        "In these runs, MuJoCo has straight lines instead of the characteristics of suspension damping, which have a kink at "
+        "equilibrium"
     )
     assert at_rest_words(rough) == said
     controller = [design(rough, "I")]

@@ -225,8 +225,8 @@ def test_saved_and_checked(tmp_path, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "claims that the norm is" in said
     assert (
-        "norms include filters: control_force through (s + 50) / (s + 400), the road's velocity from w through (1) / (0.01 s + 1)"
-        "; the poles of these filters do not depend on control and are not listed"
+        "norms include filters: control_force filtered by (s + 50) / (s + 400), w filtered by (1) / (0.01 s + 1) "
+        "to get the road's velocity; the poles of these filters do not depend on control and are not listed"
     ) in said
 
 

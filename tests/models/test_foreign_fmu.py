@@ -191,7 +191,7 @@ def test_what_is_not_done_with_an_fmu(tmp_path):
     assert f'fmu = "{tmp_path.name}/their.fmu"' in vehicle.text_for(tmp_path.parent / "elsewhere.toml")
     with refused("controller 'theirs' is an FMU, their.fmu, which has no linear loop"):
         vehicle.linear_entry("theirs")
-    with refused("controller 'theirs' is an FMU, already code; export a linear or semi-active law"):
+    with refused("controller 'theirs' is an FMU, which is already code; export a linear or semi-active law"):
         exported_law(vehicle, driver, "double", "theirs")  # pyright: ignore[reportArgumentType]
     (tmp_path / "their.fmu").unlink()
     with refused("there is no such file"):

@@ -140,11 +140,11 @@ def test_the_nominal_setting_is_where_the_parameter_says():
     ("old", "new", "said"),
     [
         (f"c_max = {HARD}", "c_max = 4000.0", r"c_min is a curve, but c_max is a number; give two curves, or two numbers"),
-        (HARD, SOFT, r"at -1.5 m/s, c_min has the force -700 N and c_max -700 N; give the firmest setting as c_max"),
-        ("-1700, -1000", "-1700, -100", r"at -0.2 m/s, c_min has the force .* N and c_max -100 N"),
+        (HARD, SOFT, r"at -1.5 m/s, the force is -700 N for c_min and -700 N for c_max; c_max must be the firmest setting"),
+        ("-1700, -1000", "-1700, -100", r"at -0.2 m/s, the force is .* N for c_min and -100 N for c_max"),
         ("force = [-2600", "force = [nan", r"^\[actuators.c_max\] force\[0\] = nan is not allowed"),
         (HARD, "{ deflection = [-1.0, 1.0], force = [-1, 1] }", r"c_max 'deflection' is not allowed"),
-        ("1400, 2300, 3600", "1400, 2300, 2310", r"last points, c_min and c_max are extended with 422.222 and 10 N s/m"),
+        ("1400, 2300, 3600", "1400, 2300, 2310", r"last points, c_min and c_max continue with slopes of 422.222 and 10 N s/m"),
     ],
 )
 def test_tables_that_are_none(old, new, said):
@@ -156,13 +156,19 @@ def test_tables_that_are_none(old, new, said):
 def test_what_else_is_refused():
     """A nominal damper outside the slopes at rest, a curve beside that feeds energy in, a force that is measured, other curves on
     one axle: a line each."""
-    with pytest.raises(InputError, match=r"suspension_damping = 700 N s/m, .* outside of c_min = 833.333 to c_max = 6000 N s/m"):
+    with pytest.raises(
+        InputError,
+        match=r"suspension_damping = 700 N s/m, .* not between c_min = 833.333 and c_max = 6000 N "
+        "s/m",
+    ):
         parse_vehicle(QUARTER.replace("suspension_damping = 1000.0", "suspension_damping = 700.0") + PAIR)
     falling = "{ velocity = [-1.5, -0.2, 0.0, 0.2, 1.5], force = [-250, -200, 0, 200, 250] }"
     with pytest.raises(InputError, match=r"is parallel to a semi-active damper, .* supply energy"):
         parse_vehicle(with_tables(QUARTER, suspension_damping=falling) + PAIR)
     told = '[controllers.told]\nmeasured = ["sprung_acceleration", "control_force"]\ngain = [[-500.0, 0.1]]\n'
-    with pytest.raises(InputError, match="measures control_force, which has no sensor for a damper with curves c_min and c_max"):
+    with pytest.raises(
+        InputError, match="measures control_force, but no sensor measures the force of a damper with curves c_min and c_max"
+    ):
         parse_vehicle(QUARTER + told + PAIR)
     one_side = f"[actuators.front_left]\nc_min = {SOFT}\nc_max = {HARD.replace('-2600', '-2700')}\n"
     with pytest.raises(InputError, match="suspensions that share suspension_damping_front have different damper curves"):

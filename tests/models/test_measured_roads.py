@@ -276,7 +276,7 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
     assert campaign([str(tmp_path / "gap.toml"), "--results", str(tmp_path / "gap")]) == 0
     err = prose(capsys.readouterr().err)
     assert "remark: road 'roads.csv': there is no point between 3 m and 40 m" in err
-    assert "remark: road 'roads.csv' ends before a run of 2 s at 22.2222 m/s does; the straight road after its last point" in err
+    assert "remark: road 'roads.csv' is shorter than a run of 2 s at 22.2222 m/s; the straight road after its last point" in err
     (tmp_path / "twice.toml").write_text(text.replace(":join=smooth", ":join=straight"))
     with pytest.raises(InputError, match="are the same"):
         campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])

@@ -143,7 +143,12 @@ def test_a_function_is_the_law_of_its_file(tmp_path):
         ("def law(time, y): return -3.0 * y", r"law\(sample, state\) fails \(TypeError: .*'NoneType'\) at 0 s", "TypeError"),
         ("def law(t, y): return y", r"its force has shape \(6,\); expected \(1,\)", "InputError"),
         ("def law(t, y): exit()", None, ""),
-        ("def law(t, y): pass\nlaw.measured = ['nothing']", r"law.measured: unknown signal 'nothing'; measurable are", ""),
+        (
+            "def law(t, y): pass\nlaw.measured = ['nothing']",
+            r"law.measured: unknown signal 'nothing'; measurable signals "
+            "are",
+            "",
+        ),
     ],
 )
 def test_a_wrong_function_is_one_line(law, said, cause):

@@ -477,7 +477,7 @@ def test_a_path_that_is_not_sure(tmp_path):
     profile = choose_road("road.csv", tmp_path).profile
     assert profile is not None
     assert profile.distance == pytest.approx([0, 5, 6])
-    assert "1 points have the position of the point before" in profile.note
+    assert "1 points have the same position as the previous point" in profile.note
 
 
 DECIMALS = "0,0,00\n1,0,01\n2,0,02\n3,0,00\n"

@@ -241,7 +241,7 @@ def test_a_parameter(name):
     [
         ("[limits]\nactuator_force = 3.5 kN # so", 'write a number with its unit in quotes, as in "3.5 kN"'),
         ("[limits]\nsuspension_stroke = { bump = 3 mm, rebound = 4 }", 'as in "3 mm"'),
-        ("[limits]\nactuator_force = 1\nactuator_force = 2", "a key or a section is there twice, so omit one of the two"),
+        ("[limits]\nactuator_force = 1\nactuator_force = 2", "a key or a section appears twice, so omit one of the two"),
         ('[implementation]\nsample_period = "5 ms"\ndelay = "2 sample periods"', "unit of s is expected"),
         ("[payload]\nmass = 1\n[payload.driver]\nmass = 80", "write mass in a section [payload.NAME], too"),
         ('[controllers]\nmeasured = ["sprung_velocity"]', "write it in a section [controllers.NAME]"),

@@ -192,7 +192,7 @@ def test_a_damper_takes_energy():
     assert reasons(run)[-1].text.startswith("energy balances")
     worse = replace(run, energy=replace(run.energy, least=-1e-3))
     assert not worse.passed
-    assert "a semi-active damper supplied energy, 1.0e-03 of the most that it absorbed" in reasons(worse)[-1].text
+    assert "a semi-active damper supplied energy, 1.0e-03 of the largest energy that it absorbed" in reasons(worse)[-1].text
     at_once = energy(run.vehicle, simulate([run.vehicle], [run.controller], [BUMP], run.physics.time[:3]), 0, BUMP, 0.0)
     assert (at_once.residual, at_once.least, at_once.loads) == (0.0, 0.0, None)  # of a run that breaks off at once
     (none,) = runs(QUARTER, "passive")

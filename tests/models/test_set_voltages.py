@@ -182,13 +182,17 @@ def test_a_campaign_samples_the_numbers_of_the_damper():
 @pytest.mark.parametrize(
     ("more", "others", "said"),
     [
-        (OF_FILE, '[actuators]\nkind = "force"', "largest_voltage and [actuators] both give control_force"),
+        (OF_FILE, '[actuators]\nkind = "force"', "largest_voltage and [actuators] both control control_force"),
         (OF_FILE, '[actuators]\nkind = "damper"\nc_min = 100\nc_max = 900', "omit one of the two"),
         (OF_FILE, "[limits]\nactuator_force = 900", "actuator_force is for force actuators, but [parts.mr]"),
-        (OF_FILE, f'[parts.b]\nkind = "dahl"\n{KINDS["dahl"]}\n{OF_FILE}', "both take control_force; omit one"),
+        (OF_FILE, f'[parts.b]\nkind = "dahl"\n{KINDS["dahl"]}\n{OF_FILE}', "both control control_force; omit one"),
         ("largest_voltage = 2.0\nvoltage = 3.0", "", "voltage = 3 V, which acts without a command, is above"),
         ("bandwidth = 9.0", "", "bandwidth has no effect on a constant voltage"),
-        (OF_FILE, '[controllers.f]\nmeasured = ["control_force"]\ngain = [[0.1]]', "which has no sensor for a damper of [parts]"),
+        (
+            OF_FILE,
+            '[controllers.f]\nmeasured = ["control_force"]\ngain = [[0.1]]',
+            "but no sensor measures the force of a damper of [parts]",
+        ),
     ],
 )
 def test_what_cannot_be_set_is_refused_in_a_line(more, others, said):

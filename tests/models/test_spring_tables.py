@@ -140,12 +140,18 @@ GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n
             '[limits]\nstop = { bump = "c.csv", rebound = "c.csv" }',
             "or also give suspension_stroke if it is over the compression",
         ),
-        ("[limits]\nstop = { rebound = { deflection = [0.07, 0.08], force = [1, 2] } }", "without a point of contact before"),
+        (
+            "[limits]\nstop = { rebound = { deflection = [0.07, 0.08], force = [1, 2] } }",
+            "without a point where contact begins",
+        ),
         ("[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1 }", "suspension_stroke has no rebound"),
         ("[limits]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop = { bump = 1e5 }", "stop_stiffness has no rebound"),
         ('[curves]\nsuspension_stiffness = { file = "s.csv", preload = true }', "positive in compression, call them compression"),
-        ('[curves]\nsuspension_damping = [300, { file = "grid.csv" }]', "a position-dependent damper cannot have friction, or"),
-        ('[curves]\nsuspension_damping = { file = "grid.csv", friction = 50 }', "other elements next to it; give it alone"),
+        (
+            '[curves]\nsuspension_damping = [300, { file = "grid.csv" }]',
+            "a position-dependent damper cannot be combined with friction or",
+        ),
+        ('[curves]\nsuspension_damping = { file = "grid.csv", friction = 50 }', "with friction or other elements; give it alone"),
     ],
 )
 def test_a_table_that_cannot_act_as_given_is_refused(tmp_path, more, said):
@@ -177,7 +183,7 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
     assert "agrees" in said
     assert f"force at rest is 4756 N, but the static load is {weight:.1f} N, a difference of {weight - 4756:+.1f} N" in warned
     assert read_with(tmp_path, own.replace(" }", f", preload = {weight} }}", 1)).warnings == []
-    with refused("its table carries 1898 to 9323 N, but the static load is 10000 N"):
+    with refused("its table covers forces from 1898 to 9323 N, but the static load is 10000 N"):
         read_with(tmp_path, own.replace(" }", ', preload = "10 kN" }', 1))
     with refused("or preload = true for a table that begins at the free length"):
         read_with(tmp_path, OF_FILE, a=SPRING)
@@ -326,13 +332,13 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
 @pytest.mark.parametrize(
     ("above", "columns", "said"),
     [
-        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; needed: deflection"),
-        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; needed: time"),
+        ("t [s],force [N]", "tf", "column 1 ('t [s]') is time, column 2 ('force [N]') is force; still needed: deflection"),
+        ("force [N],travel [mm],temp [C]", "fxf", "column 3 ('temp [C]') is not read; still needed: time"),
         ("t [s],left force [N],right force [N],travel [mm]", "tffx", "needed: only one of force"),
         ("t [s],compression force [N],compression [mm]", "tnx", "correct the direction in the heading of column 3 or 2"),
         ("t [s],force [N],travel [mm]", "txx", "the force neither rises nor falls with velocity"),
         ("t [s],force [N],travel [mm]", "ffx", "give a log with an even sample rate"),
-        ("t [s],force [N],travel [mm]", "tft", "the displacement has less than two turning points on one side"),
+        ("t [s],force [N],travel [mm]", "tft", "the displacement has fewer than two turning points on one side"),
     ],
 )
 def test_a_log_that_is_not_enough(tmp_path, above, columns, said):

@@ -102,7 +102,7 @@ ADDED = {
         ("tolerance = { force = { numerator = [1.0], denominator = [1.0, 1.0] } }", "give the largest relative error"),
     ],
     ("half_car", "[controllers.mine]"): [
-        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "belongs to no corner")
+        ('measured = ["suspension_deflection_front", "heave_velocity"]\nstructure = "corner"', "is not from a corner")
     ],
     ("quarter_car", ""): [
         *(
@@ -123,7 +123,10 @@ ADDED = {
         ('kind = "damper"\nc_max = 4e3', "c_min is missing; give c_min and c_max"),
         ('kind = "damper"\nc_min = 4e3\nc_max = 4e3', "c_min = 4000 N s/m is not below c_max = 4000 N s/m; give a smaller"),
         ('kind = "damper"\nc_min = nan\nc_max = 4e3', "c_min = nan is not allowed; give a number from 0 to"),
-        ('kind = "damper"\nc_min = 500.0\nc_max = 4e3', "suspension_damping = 400 N s/m, which acts without a command, is out"),
+        (
+            'kind = "damper"\nc_min = 500.0\nc_max = 4e3',
+            "suspension_damping = 400 N s/m, the damping without a command, is not between",
+        ),
         ("c_min = 300.0", 'has c_min without kind = "damper"'),
     ],
     ("quarter_car", DAMPER): [
@@ -131,7 +134,7 @@ ADDED = {
         ("[limits]\nactuator_force = 900.0", "[limits] actuator_force is for force actuators"),
     ],
     ("quarter_car", "[curves]"): [
-        (f"{RATIO}\n{DAMPER}\n{OWN}", "which has no sensor for a damper at a motion ratio over travel"),
+        (f"{RATIO}\n{DAMPER}\n{OWN}", "but no sensor measures the force of a damper at a motion ratio over travel"),
         (f"{RATIO}\n[payload]\nmass = 5e3", "the equilibrium moves beyond the table"),
         (f"suspension_damping = {LINE}", "suspension_damping is in both [parameters] and [curves]"),
         (f"sprung_mass = {LINE}", "'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"),
@@ -158,7 +161,10 @@ ADDED = {
         (f"{LAW}\nanti_windup = 20.0", "has anti_windup, but no limit clips its forces"),
     ],
     ("quarter_car_semi_active", "[controllers.mine]"): [
-        ('design = "preview"\npreview = 0.5', "acts before the road does, but semi-active dampers only resist motion"),
+        (
+            'design = "preview"\npreview = 0.5',
+            "applies forces before the wheels reach a bump, but semi-active dampers only resist motion",
+        ),
         ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix' (this law has no keys)"),
         ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured' (its keys are"),
         ('semi_active = "skyhook_modal"', "needs a body that pitches or rolls"),
@@ -175,7 +181,7 @@ ADDED = {
             "[limits.middle] is not a suspension",
             "front, front_left, front_right, rear",
         ),
-        ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
+        ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "applies to all suspensions"),
         ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
         ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
     ],
@@ -185,16 +191,19 @@ ADDED = {
         ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),
         ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
-        ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
+        ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, because there is only one suspension"),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         (
             "stop = { compression = [0.02, 0.03], force = [0, 500] }\nsuspension_stroke = 0.07",
             "has a gap of 0.02 m, but suspension_stroke is 0.07 m; omit one",
         ),
-        ("stop = { compression = [0, 0.01], force = [0, 500] }", "pushes back with 500 N at 0.01 m, without a point of contact"),
+        (
+            "stop = { compression = [0, 0.01], force = [0, 500] }",
+            "pushes back with 500 N at 0.01 m, without a point where contact begins",
+        ),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its table ends with a falling force, 400 N"),
-        ("stop = { compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force against bump or rebound"),
+        ("stop = { compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force that resists bump or rebound"),
         ("stop = { compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give m, not mm"),
         ("stop = { compression = [0.01, 0.02], force = [0, 500] }\nstop_stiffness = 3", "two names of one key; omit one"),
         ("stop = 1e5", "make a bump stop together"),

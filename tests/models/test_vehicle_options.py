@@ -472,7 +472,7 @@ def test_commands_say_what_is_modelled(tmp_path, capsys):
     arguments = ["--vehicle", str(path), "--controller", "passive", "--load", "corner:g=0.3"]
     assert drive([*arguments, "--duration", "1", "--timestep", "4e-3", "--logs", str(logs), "-v"]) == 0
     said = prose(capsys.readouterr().out)
-    assert "The model neglects the moment of the body's own weight as the body pitches." in said
+    assert "The model neglects the moment that the body's own weight causes when the body pitches." in said
     (log,) = logs.glob("*.mcap")
     assert any(b"wheel_load_front_right" in schema.data for schema in contents(log).schemas)
     assert inspect([str(log)]) == 0

@@ -195,7 +195,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
     limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
-    said = rf"No candidate of 12 keeps {limits}. .*{name}.* is nearest; it exceeds peak_travel by \S+ m \(.* %\)"
+    said = rf"None of the 12 candidates satisfies {limits}. .*{name}.* comes closest, but exceeds peak_travel by \S+ m \(.* %\)"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
 
@@ -213,8 +213,8 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     out, complaint = capsys.readouterr()
     assert "no picture is drawn, because no run of the campaign has both ride and tyre load" in prose(complaint)
     assert not (tmp_path / "tuned.png").exists()
-    assert "No controller can be compared, because each has a run that broke off." in out
-    assert "all 2 candidates have runs that broke off, without ride." in prose(out)
+    assert "No controller can be compared, because each has a run that ended early." in out
+    assert "all 2 candidates have runs that ended early and have no ride." in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
 

@@ -146,10 +146,10 @@ REFUSED = [
     (cut, "part 2 of 3 is missing and part 1 of 3 is not finished; run"),
     (other_number, "the parts 1/3 and 2/20 of this campaign overlap"),
     (other_part, "2-of-3 does not contain part 2/3, but 1/3"),
-    (other_rows, "these are not the rows of this part"),
+    (other_rows, "this file does not contain the rows of this part"),
     (changed("digest", lambda digest: "0"), "2-of-3 contains the results of another campaign"),
     (changed("versions", lambda old: {**old, "roadproof": "0.1"}), "2-of-3 was started with roadproof 0.1, but"),
-    (changed("controllers", lambda old: {**old, "half_car": {}}), "part 2/3 was simulated with other gains"),
+    (changed("controllers", lambda old: {**old, "half_car": {}}), "part 2/3 was simulated with gains that differ"),
 ]
 
 

@@ -154,7 +154,7 @@ def test_an_end_at_once_is_said_in_the_short_verdict():
 
     [one] = run(parse_vehicle(read_vehicle("quarter_car").text + "\n[limits]\nactuator_force = 100.0\n"), Full(), ROAD, 0.2)
     assert one.agreement.until == 0
-    assert "nothing is compared with linear analysis, which applies until 0 s (" in verdict(one).text
+    assert "there is no comparison with linear analysis, which applies only until 0 s (" in verdict(one).text
 
 
 class Timed(Proportional):
@@ -220,7 +220,7 @@ def test_a_rate_that_is_never_reached_changes_no_bit():
     [
         (
             ['limit = "force"', "actuator_force = 1e3", "actuator_bandwidth = 60"],
-            r"with a rate limit actuator_force limits commands",
+            r"with a rate limit, actuator_force also limits the commands",
         ),
         (["[limits.front]", "force_rate = 1e3"], r"\[limits.front\]"),
         (["[actuators]", 'kind = "damper"', "c_min = 300", "c_max = 4e3"], r"force_rate"),

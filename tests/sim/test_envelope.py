@@ -98,7 +98,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys, of_one_map):
         assert [float(row["missing_force"]) for row in csv.DictReader(file)] == [one["missing_force"] for one in found["cells"]]
 
     shares = [one["missing_force"] for one in found["cells"]]
-    said = f"dampers lack {percent(min(shares))} to {percent(max(shares))} (rms) of the commanded force"
+    said = f"dampers cannot supply {percent(min(shares))} to {percent(max(shares))} (rms) of the commanded force"
     assert main(arguments) == 0
     printed = prose(capsys.readouterr().out)
     assert said in printed

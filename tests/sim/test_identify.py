@@ -194,7 +194,7 @@ def test_both_solutions_of_the_mirror_case():
     other = {"suspension_stiffness": 2.5e5 * share, "suspension_damping": 500 * share, "tyre_stiffness": 2e4 / share}
     for name, value in other.items():
         assert of.mirror[name] == pytest.approx(value, rel=0.05)  # as noise moves both
-    assert "Another vehicle fits as well" in said(of)
+    assert "Another vehicle fits equally well" in said(of)
 
 
 @pytest.mark.parametrize(

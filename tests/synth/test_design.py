@@ -248,9 +248,9 @@ def test_a_plant_without_a_state_is_refused(act):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\), and must have \(2, 1\)"),
-        ({"C": np.ones((2, 3))}, r"C has shape \(2, 3\), and must have \(2, 2\)"),
-        ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\), and must have \(2, 1\): A has 2 row"),
+        ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\), but must have the shape \(2, 1\)"),
+        ({"C": np.ones((2, 3))}, r"C has shape \(2, 3\), but must have the shape \(2, 2\)"),
+        ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\), but must have the shape \(2, 1\): A has 2 row"),
         ({"A": np.array([1.0, 2.0])}, r"A has shape \(2,\); expected a matrix of shape \('n', 'n'\)"),
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),
@@ -304,7 +304,7 @@ def test_measurements_that_do_not_fit(Cy, message):
         ({"performance": {"tyre_deflection": 0.0}}, "the weights are all zero"),
         ({"measured": ["speed"]}, "unknown measured signal 'speed'"),
         ({"measured": []}, "nothing is measured"),
-        ({"measured": ["sprung_acceleration"]}, "'sprung_acceleration' contains an input directly"),
+        ({"measured": ["sprung_acceleration"]}, "'sprung_acceleration' depends directly on an input"),
     ],
 )
 def test_state_space_that_does_not_fit(space, change, message):

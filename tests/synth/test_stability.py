@@ -107,7 +107,7 @@ def test_every_command_calls_it_marginal(paper, tmp_path, capsys):
     bump(["--vehicle", undamped, "--controller", "passive", "--duration", "0.5", "--logs", str(tmp_path), "-v"])
     out = capsys.readouterr().out
     assert "marginal: a pole at 0+65.4j rad/s" in out
-    assert "marginal: a mode of the sampled loop neither grows nor decays, to rounding" in out
+    assert "marginal: a mode of the sampled loop neither grows nor decays, within rounding" in out
     assert "stable" not in out
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log), "-v"]) == 0

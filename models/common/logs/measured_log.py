@@ -109,12 +109,12 @@ def read_measured_log(
                 f"no column is called time (columns: {found}); name it as in time [s], or give the sample rate (--beside-rate)"
             )
         if rate is not None and clocks:
-            raise InputError(f"{columns_in_words(clocks[:1])} has times; omit the sample rate (--beside-rate)")
+            raise InputError(f"{columns_in_words(clocks[:1])} contains times; omit the sample rate (--beside-rate)")
         used = _columns_of([one for one in headings if one not in clocks], units, columns)
         remarks = left_out_words(headings, [one.column for one in (*used.values(), *clocks[:1])])
         stamped = rate is None and ":" in next(table.rows())[1][clocks[0].column - 1]  # times of day
         bare = [(one, units[name]) for name, one in used.items()] + [(one, "s") for one in clocks[:1] if not stamped]
-        remarks += [f"{columns_in_words([one])} has no unit and counts in {unit}" for one, unit in bare if not one.unit]
+        remarks += [f"{columns_in_words([one])} has no unit; {unit} is assumed" for one, unit in bare if not one.unit]
         scales = [_scale(one, units[name], name) for name, one in used.items()]
         numbers, lines = table.numbers([one.column - 1 for one in used.values()], ragged=True, gaps=True)
         time = np.arange(len(numbers)) / rate if rate is not None else table.seconds(clocks[0], "s")
@@ -130,7 +130,7 @@ def read_measured_log(
         signals = dict(zip(used, values, strict=True))
         for name, one in signals.items():
             if np.isfinite(one).sum() < LEAST:
-                raise InputError(f"{columns_in_words([used[name]])} has less than {LEAST} numbers; remove the column")
+                raise InputError(f"{columns_in_words([used[name]])} has fewer than {LEAST} numbers; remove the column")
         return MeasuredLog(str(path), time[new], signals, tuple(remarks), int(len(new) - new.sum()))
 
 
@@ -161,7 +161,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
             known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
-            raise InputError(f"{columns_in_words(ones)} are all {name}; rename all but one")
+            raise InputError(f"{columns_in_words(ones)} all have the name of the signal {name}; rename all but one")
         if name in columns and not ones:
             texts = alike(columns[name], [short_repr(one.text) for one in headings if one.text])
             raise InputError(f"no column is called {short_repr(columns[name])}; the columns are {texts}")
@@ -170,7 +170,8 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         near = [name for one in headings for name in get_close_matches(one.name.lower().replace(" ", "_"), units, 1)]
         found = first_few([short_repr(one.text) for one in headings if one.text], 8) or "without names"
         raise InputError(
-            f"no column is called like a signal (columns: {found}); rename one, or give --beside-column SIGNAL=HEADING; nearest "
+            f"no column has the name of a signal (columns: {found}); rename one, or give --beside-column SIGNAL=HEADING; "
+            "nearest "
             f"signals: {list_names({*near} or units)}"
         )
     return used

@@ -37,7 +37,7 @@ class BoucWen(Hysteretic, Section):
     voltage: Voltage = 0.0
     largest_voltage: LargestVoltage | None = None
     bandwidth: Bandwidth | None = None
-    friction: Annotated[bool, Flag("true for a damper: designs and norms leave alpha z out, as they do a friction")] = False
+    friction: Annotated[bool, Flag("true for a damper: designs and norms neglect alpha z, as they neglect friction")] = False
 
     @property
     def law(self) -> tuple[Number, Number, Number, Number]:

@@ -20,7 +20,7 @@ from models.parts.part import Number
 class Dahl(Hysteretic, Section):
     """Damper in parallel with Dahl friction."""
 
-    states = (Signal("friction", "w", "1", "friction relative to its largest"),)
+    states = (Signal("friction", "w", "1", "friction relative to its largest value"),)
     by_voltage: ClassVar[tuple[str, ...]] = ("force", "damping")
     friction: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleVariableOverride]
 

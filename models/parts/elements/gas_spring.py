@@ -42,15 +42,15 @@ class GasSpring(Part, Section):
     volume: Annotated[float, SI("m3", "V_0, volume of the gas at rest", 1e-7, 10.0)]
     load: Annotated[float, SI("N", "W, force that the gas carries at rest; instead of pressure", 0.0, 1e7)] | None = None
     pressure: (
-        Annotated[float, SI("Pa", "pressure of the gas at rest above the atmosphere's; instead of load", 0.0, 1e9)] | None
+        Annotated[float, SI("Pa", "pressure of the gas at rest, relative to the atmosphere; instead of load", 0.0, 1e9)] | None
     ) = None
     exponent: Annotated[float, SI("", "n, polytropic exponent: 1 for slow motion, 1.4 for fast motion", 1.0, 2.0)] = 1.3
     temperature: Annotated[float, SI("K", "temperature of the gas, at the same load and ride height", 150.0, 600.0)] = USUAL
-    volume_temperature: Annotated[float, SI("K", "temperature at which the volume is that of the file", 150.0, 600.0)] = USUAL
+    volume_temperature: Annotated[float, SI("K", "temperature at which the gas has the volume in the file", 150.0, 600.0)] = USUAL
 
     def __post_init__(self) -> None:
         if (self.load is None) == (self.pressure is None):
-            raise InputError("needs either load, the force that the gas carries at rest, or pressure; give one of both")
+            raise InputError("needs either load, the force that the gas carries at rest, or pressure; give exactly one of them")
 
     @property
     def whole(self) -> Number:

@@ -32,8 +32,12 @@ from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 DECAY = 100.0  # 1/s
 FAST, FASTEST = 1.0, 2.0  # m/s: velocities of a damper for its largest force, and for the largest rate of its state
 
-Voltage = Annotated[float, SI("V", "voltage, constant or without a command; or current in A, with numbers per ampere", 0.0)]
-LargestVoltage = Annotated[float, SI("V", "largest voltage that the suspension's controller sets, from 0; without this key none")]
+Voltage = Annotated[
+    float, SI("V", "voltage, constant or without a command; or a current in A, if the other numbers are per ampere", 0.0)
+]
+LargestVoltage = Annotated[
+    float, SI("V", "largest voltage that the suspension's controller can set, from 0; without this key, it sets no voltage")
+]
 Bandwidth = Annotated[float, SI("rad/s", "corner frequency of a first-order lag of the voltage, with largest_voltage")]
 
 

@@ -26,7 +26,7 @@ class HydraulicStop(Part, Section):
 
     stroke: Annotated[float, SI("m", "travel from equilibrium to the stop", 1e-4, 2.0)]
     stiffness: Annotated[float, SI("N/m", "k, stiffness of the stop")]
-    damping: Annotated[float, SI("N s/m2", "c, damping per compression, while the compression grows", 0.0)]
+    damping: Annotated[float, SI("N s/m2", "c, damping coefficient per compression, only while the compression grows", 0.0)]
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         compression = np.maximum(-d - self.stroke, 0.0)

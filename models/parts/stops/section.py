@@ -64,8 +64,8 @@ class StopStiffness(Key):
             return SI("N/m").number(HERE, value)
         if not 1 <= len(value) <= MOST:
             raise InputError(
-                f"{HERE} = {short_repr(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by "
-                "x they push back with k_1 x + k_2 x^2 + k_3 x^3"
+                f"{HERE} = {short_repr(list(value))} has {len(value)} coefficients; give 1 to {MOST}: a stop that is "
+                "compressed by x pushes back with k_1 x + k_2 x^2 + k_3 x^3"
             )
         units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
         return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))
@@ -85,10 +85,10 @@ class StopSection(Section):
 
     by_place: ClassVar[bool] = True
     hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("actuator_force", "actuator_bandwidth", "force_rate", "limit"), "is a key of all suspensions; move it to [limits]"
+        ("actuator_force", "actuator_bandwidth", "force_rate", "limit"), "applies to all suspensions; move it to [limits]"
     )
 
-    suspension_stroke: Annotated[Any, OfSides(SI("m"), "travel either way before the bump stop")] = None
+    suspension_stroke: Annotated[Any, OfSides(SI("m"), "travel to the bump stop in each direction")] = None
     stop_stiffness: Annotated[Any, OfSides(StopStiffness(), "stiffness of the stop, up to three coefficients, or a table")] = None
     stop: Annotated[Any, OfSides(StopStiffness(), "the same as `stop_stiffness`")] = None
 

@@ -92,14 +92,16 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     first = int(np.flatnonzero(force)[0]) - 1
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
-            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point of contact before; "
-            "begin with 0 N at contact, or add a stop that touches at rest to the spring: suspension_stiffness = [22e3, { ... }]"
+            f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point where contact "
+            f"begins; begin with 0 N at contact, or add a stop that touches at rest to the spring: "
+            "suspension_stiffness = [22e3, { ... }]"
         )
     if stroke is not None and u[first]:
         raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of them")
     if force[-1] < force[-2]:
         raise InputError(
-            f"its table ends with a falling force, {force[-1]:.6g} N, and continues at its last slope; end it flat or rising"
+            f"its table ends with a falling force, {force[-1]:.6g} N, and continues at its last slope; make the last slope "
+            "zero or positive"
         )
     gap, u, force = float(u[first]), u[first:] - u[first], force[first:]
     cut = StopTable(tuple(u.tolist()), tuple(force.tolist()), table.fit_error, table.note)
@@ -214,7 +216,7 @@ def read_stop_table(value: Mapping[str, Any]) -> StopTable:
     given = read(HERE, StopTableSection, value)
     x, force = (-values[::-1] for values in given.points)
     if not force.any():
-        raise InputError(f"{HERE} has a table without a force against bump or rebound")
+        raise InputError(f"{HERE} has a table without a force that resists bump or rebound")
     if x[-1] < 0 and not force[-1]:
         x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop whose table begins with the contact
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
@@ -243,9 +245,9 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
     known, places = places_of(corners), {"": common}
     for name, value in own.items():
         if name not in known:
-            has = f"sections {list_names(known)}" if known else "no sections, for there is one suspension"
+            has = f"sections {list_names(known)}" if known else "no sections, because there is only one suspension"
             raise InputError(
-                f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {list_names(STOP_NAMES)}"
+                f"[limits.{name}] is not a suspension of this vehicle; [limits] has {has}, and the keys {list_names(STOP_NAMES)}"
             )
         places[name] = read(f"[limits.{name}]", StopSection, value)
     for corner in corners:

@@ -28,11 +28,13 @@ from models.kinds.kind import GRAVITY, Parameters, VehicleKind
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
-Start = Annotated[float, SI("s", "begin of the rise", 0.0, 1e6)]
-Rise = Annotated[float, SI("s", "duration of the rise, and of the fall; no timestep could follow a jump", 1e-3, 1e6)]
+Start = Annotated[float, SI("s", "start of the rise", 0.0, 1e6)]
+Rise = Annotated[
+    float, SI("s", "duration of the rise, and of the fall; above 0, because no timestep can follow a jump", 1e-3, 1e6)
+]
 Hold = Annotated[float, SI("s", "time between rise and fall; infinite for a load that stays", 0.0, math.inf)]
-X = Annotated[float, SI("m", "place, forward of the body's centre of mass", -20.0, 20.0)]
-Y = Annotated[float, SI("m", "place, to the left of the body's centre of mass", -20.0, 20.0)]
+X = Annotated[float, SI("m", "position, forward of the body's centre of mass", -20.0, 20.0)]
+Y = Annotated[float, SI("m", "position, to the left of the body's centre of mass", -20.0, 20.0)]
 
 
 class Load(ABC):
@@ -191,7 +193,7 @@ class Brake(_Inertial):
 
     kind: ClassVar[str] = "brake"
     way: ClassVar[str] = PITCH
-    g: Annotated[float, SI("g", "deceleration over that of gravity", -2.0, 2.0)] = 0.5
+    g: Annotated[float, SI("g", "deceleration, in multiples of the acceleration of gravity", -2.0, 2.0)] = 0.5
     start: Start = 0.5
     rise: Rise = 0.2
     hold: Hold = math.inf
@@ -203,7 +205,7 @@ class Cornering(_Inertial):
 
     kind: ClassVar[str] = "corner"
     way: ClassVar[str] = ROLL
-    g: Annotated[float, SI("g", "lateral acceleration over that of gravity", -2.0, 2.0)] = 0.3
+    g: Annotated[float, SI("g", "lateral acceleration, in multiples of the acceleration of gravity", -2.0, 2.0)] = 0.3
     start: Start = 0.5
     rise: Rise = 0.5
     hold: Hold = math.inf
@@ -235,7 +237,7 @@ class Payload(_PlacedLoad):
 
     kind: ClassVar[str] = "payload"
     size: ClassVar[str] = "mass"
-    mass: Annotated[float, SI("kg", "payload mass; a negative mass is removed", -1e5, 1e5)] = 100.0
+    mass: Annotated[float, SI("kg", "mass of the payload; a negative value removes mass", -1e5, 1e5)] = 100.0
     x: X = 0.0
     y: Y = 0.0
     start: Start = 0.5

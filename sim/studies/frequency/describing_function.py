@@ -125,7 +125,7 @@ def describing_failures(one: DescribingFunction) -> list[str]:
     """Returns a text if every run diverged, so that nothing was measured; otherwise an empty list."""
     if not np.all(np.isfinite(one.diverged)):
         return []
-    return [f"every run {'broke off' if one.law_diverged.any() else 'diverged'}, so nothing is measured"]
+    return [f"every run {'ended early' if one.law_diverged.any() else 'diverged'}, so nothing is measured"]
 
 
 RECORD = Record[DescribingFunction](

@@ -135,7 +135,7 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
         small = [line for one in some if (sweep := of.get(one.controller.name)) and (line := sweep.small) is not None]
         if small:
             near = at_most(max(float(line.error(line.sampled).max()) for line in small))
-            text += f" Over a lower road, where characteristics and angles matter less, it is within {near}."
+            text += f" Over a lower road, where characteristics and angles matter less, the response is within {near}."
         yield Statement(f"{text} {largest}".rstrip(), "holds")
     for name, texts in failed.items():
         for i, text in enumerate(texts):
@@ -170,7 +170,8 @@ def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep
     if lines:
         held = how.without_noise.phrases or ("forces held over each timestep",)
         yield (
-            f"'Sampled' is the exact response of the loop that MuJoCo simulates: {', '.join((*held, *lag))}. 'Continuous' is the "
+            f"'Sampled' is the exact response of the loop that MuJoCo simulates: {', '.join((*held, *lag))}. 'Continuous' is "
+            "the "
             f"response of the continuous loop{', with ' * bool(lag)}{', '.join(lag)}."
         )
     if words := at_rest_words(vehicle):

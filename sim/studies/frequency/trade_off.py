@@ -55,7 +55,9 @@ def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
     except DesignError as error:
         return Document(TITLE, notes(f"There is no trade-off: {error}"))
     if not trade_off.points:
-        return Document(TITLE, notes(f"There is no trade-off: of {trade_off.design_count} designs no claim could be proved."))
+        return Document(
+            TITLE, notes(f"There is no trade-off, because no claim about the {trade_off.design_count} designs could be proved.")
+        )
     measured = np.array([[measure(scope, trade_off, i, axis) for axis in axes] for i in trade_off.marked])
     norms = np.array([trade_off.points[i].values for i in trade_off.marked])
     document, texts = describe(trade_off, measured), []
@@ -65,7 +67,8 @@ def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
         together = ", with all wheels on one road, which need not be the worst" if len(vehicle.kind.wheels) > 1 else ""
         texts.append(
             f"MuJoCo reaches {SHARE.digits(shares.min())} to {SHARE.digits(shares.max())} % of the continuous norms on the "
-            f"sinusoid where each norm is reached{together}. Its phase advances by at most {TURN:g} rad per timestep."
+            f"sinusoid where each norm is reached{together}. The phase of the sinusoid advances by at most {TURN:g} rad per "
+            "timestep."
         )
     return replace(document, blocks=(*document.blocks, *notes(*texts)))
 

@@ -17,7 +17,7 @@ class GalleryStudy(Study["list[Result]"]):
     description = "Compare published results on suspensions with the results of Roadproof."
     epilog = """
 Each row contains the published number, the number from linear analysis and, if a run measures it, the number from MuJoCo. A
-number is reproduced if our number rounds to all published digits. Otherwise the row gives the reason. Our number marked grid is
+number is reproduced if our number rounds to all published digits. Otherwise the row gives the reason. A number marked grid is
 taken at the samples of the published plot. `sim.report --gallery` writes these results as a page.
 
 exit code: 0 every number is reproduced, or differs for a known reason; 1 a number differs; 2 invalid input; 130 interrupted

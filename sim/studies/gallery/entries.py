@@ -66,7 +66,7 @@ class PrintedNumber(Section):
         tuple[int, ...], ListedValues("row and column of an entry of a matrix, from 0; a scalar has none", Integer())
     ] = ()
     hertz: Annotated[float, SI("Hz", "frequency", 0.0)] = 0.0
-    road: Annotated[Road, ReadBy("a road; without its `type` a bump, or with an `edge` a step", _road)] = PAPER_BUMP
+    road: Annotated[Road, ReadBy("a road; without `type` it is a bump, or a step if `edge` is given", _road)] = PAPER_BUMP
     duration: Annotated[float, SI("s", "duration of the run")] = 3.0
     timestep: Annotated[float, SI("s", "timestep of the run")] = 1e-3
     band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `sim.drive`")] = 2.0
@@ -75,9 +75,9 @@ class PrintedNumber(Section):
     unit: Annotated[str, Text("unit of the value")] = ""
     scale: Annotated[float, SI("", "factor from SI units to `unit`", -LARGEST)] = 1.0
     symbol: Annotated[str, Text("quantity of the paper")] = ""
-    reason: Annotated[str, Text("reason of a difference; empty without one")] = ""
-    within: Annotated[float, SI("", "the largest difference that the reason explains, relative", 0.0)] = 0.0
-    derived: Annotated[bool, Flag("the source prints data or a formula alone, from which the value follows")] = False
+    reason: Annotated[str, Text("reason for a difference; empty if there is no difference")] = ""
+    within: Annotated[float, SI("", "largest relative difference that the reason explains", 0.0)] = 0.0
+    derived: Annotated[bool, Flag("true if the source prints only data or a formula from which the value follows")] = False
 
     @property
     def text(self) -> str:
@@ -100,7 +100,7 @@ class MissingNumber(Section):
 
     what: Annotated[str, Text("description of the number")]
     why: Annotated[str, Text("reason for the missing number, in a line")]
-    source: Annotated[str, Choice("entry of `SOURCES` without any number for this reason, if it has no others", SOURCES)] = ""
+    source: Annotated[str, Choice("entry of `SOURCES` that has no numbers at all for this reason", SOURCES)] = ""
 
 
 NUMBERS, REASONS = (Subsection("", (one,), "a table in double brackets") for one in (PrintedNumber, MissingNumber))
@@ -162,5 +162,5 @@ def _paper() -> Entry:
     )
     title = "Static output-feedback H-infinity controllers for vehicle suspensions, equations (40) to (60)"
     source = "Palacios-Quinonero, Rubio-Massegu, Rossell and Karimi"
-    about = "The paper that this project carries out: its gains, norms and bounds, each in its equation."
-    return Entry(PAPER, title, source, "numbers alone are quoted", printed, about=about)
+    about = "The paper that this project implements: its gains, norms and bounds, each with the number of its equation."
+    return Entry(PAPER, title, source, "only numbers are quoted", printed, about=about)

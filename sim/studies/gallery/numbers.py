@@ -203,7 +203,9 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     """
     least = one.timestep / 10
     if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:
-        raise InputError(f"grid = {one.grid:g} s of {one.what} is not allowed; give {least:g} s to the duration, or omit it")
+        raise InputError(
+            f"grid = {one.grid:g} s of {one.what} is not allowed; give a number from {least:g} s to the duration, or omit it"
+        )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)
     if one.what in ("peak", "rms"):
@@ -253,7 +255,7 @@ def compare_numbers(entry: Entry) -> list[ComparedNumber]:
     numbers = []
     for one in entry.printed:
         if one.what not in KINDS:
-            raise InputError(f"{entry.name}: what = {short_repr(one.what)} is not allowed; one of {list_names(KINDS)}")
+            raise InputError(f"{entry.name}: what = {short_repr(one.what)} is not allowed; give one of {list_names(KINDS)}")
         designer = designer_of(entry, one)
         outputs = designer.vehicle.linear_model.outputs
         if one.signal and one.signal not in outputs:

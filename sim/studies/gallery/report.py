@@ -38,9 +38,9 @@ def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
     text = [" ".join(filter(None, origin))]
     text += dict.fromkeys(f"Reason for a difference: {one.printed.reason}." for one in numbers if one.verdict == DIFFERS)
     text += ["Numbers in brackets follow from data or a formula of the source."] * any(one.printed.derived for one in numbers)
-    text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
+    text += [f"Not expressible in a vehicle file: {one.what}: {one.why}." for one in entry.missing]
     shown = [field for field in NUMBERS if field.key != "grid" or any(one.grid is not None for one in numbers)]
-    tables = [Table.of(f"gallery-{entry.name}", "Published numbers and ours.", shown, numbers, 2)] if numbers else []
+    tables = [Table.of(f"gallery-{entry.name}", "Published numbers and computed numbers.", shown, numbers, 2)] if numbers else []
     return Document(entry.title, (*(Statement(one, "fails") for one in fails), *notes(*text), *tables))
 
 
@@ -56,7 +56,7 @@ def summary(results: Sequence[Result]) -> Document:
     more += [f"{_numbers(derived)} from data or a formula of the source; the others are published."] if derived else []
     with_numbers, without = sources([entry for entry, _ in results])
     if {entry.name for entry, _ in results} == {*names()}:
-        more.append(f"The gallery has numbers of {len(with_numbers)} of {len(SOURCES)} published sources.")
+        more.append(f"The gallery has numbers from {len(with_numbers)} of {len(SOURCES)} published sources.")
         more.append(f"The entries explain why {join_words(without)} have no numbers.")
     table = Table.of("gallery", "The entries, and how many of their numbers are reproduced.", COUNTS, results, 2, detail="brief")
     state = "fails" if wrong else "holds"

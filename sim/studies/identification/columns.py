@@ -134,13 +134,13 @@ def _lines(
         if not road:
             yield "# No heading names the height of the road: add [signals.road_displacement], or change road."
     else:
-        yield f"road = {toml_value(UNKNOWN)}      # no heading names the road: the acceleration of the hub drives the body"
+        yield f"road = {toml_value(UNKNOWN)}      # no heading names the road, so the acceleration of the hub drives the body"
     yield 'start = "estimated"   # or "rest"'
     if any("mujoco" in one.column.lower().split() for each in sections.values() for one in each):
-        yield 'heights = "held"      # over a step, as drive holds the road and the forces'
+        yield 'heights = "held"      # constant during each step, as in a log of roadproof drive'
         yield 'forces = "held"'
     if not timed:
-        yield "rate = 100.0          # samples per second, to be corrected: no heading names the time"
+        yield "rate = 100.0          # samples per second; correct this number, because no heading names the time"
     for signal, guesses in sections.items():
         yield ""
         yield f"[signals.{signal}]  # {units[signal]}"
@@ -148,7 +148,7 @@ def _lines(
             warning = f"  # {one.warning}" if one.warning else ""
             yield f"{'# or: ' * bool(i)}column = {toml_value(one.column)}{warning}"
         yield "# sign = -1           # if the sensor counts the other direction as positive"
-        yield '# delay = "10 ms"     # or "estimate"'
+        yield '# delay = "10 ms"     # of the sensor; or "estimate"'
     if others:
         yield ""
         yield "# Columns that are not used:"

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 class IdentifyStudy(Study["Result"]):
     """Identification of a vehicle from logs; with --columns the text of a first map, with --plan plans of a test."""
 
-    description = "Identify the parameters of a vehicle from measured logs, with intervals and what they do not determine."
+    description = (
+        "Identify the parameters of a vehicle from measured logs, with intervals, and show what the logs do not determine."
+    )
     epilog = """
 exit code: 0 the residuals are white, or --columns; 1 they are not white, so the vehicle lacks something; 2 invalid input
 
@@ -37,23 +39,36 @@ examples:
     stages = ("logs and estimate",)
 
     def add_options(self, parser: Parser) -> None:
-        parser.add_argument("files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log of bump or drive (.mcap)")
-        parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with first values")
+        parser.add_argument(
+            "files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log that bump or drive wrote (.mcap)"
+        )
+        parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with initial values")
         parser.add_argument("--signals", type=Path, metavar="MAP", help="map of columns to signals (TOML)")
-        parser.add_argument("--columns", action="store_true", help="print a first map from the headings of the logs, and stop")
-        parser.add_argument("--fix", action="append", default=[], metavar="NAME", help="parameter that keeps its value")
-        parser.add_argument("--free", action="append", default=[], metavar="NAME", help="further parameter to estimate")
         parser.add_argument(
-            "--hold-out", action="append", type=Path, default=[], metavar="LOG", help="log that is only predicted"
+            "--columns", action="store_true", help="print a first map, guessed from the headings of the logs, and stop"
         )
         parser.add_argument(
-            "--controllers", action="store_true", help="also certify all controllers on the vehicles that the logs allow"
+            "--fix", action="append", default=[], metavar="NAME", help="parameter that keeps its value and is not estimated"
         )
-        parser.add_argument("--plan", action="store_true", help="print chirps that would determine the parameters best, and stop")
+        parser.add_argument("--free", action="append", default=[], metavar="NAME", help="additional parameter to estimate")
+        parser.add_argument(
+            "--hold-out",
+            action="append",
+            type=Path,
+            default=[],
+            metavar="LOG",
+            help="log that is predicted, but not used for the estimate",
+        )
+        parser.add_argument(
+            "--controllers", action="store_true", help="also certify all controllers for the vehicles that agree with the logs"
+        )
+        parser.add_argument(
+            "--plan", action="store_true", help="print the chirps that would determine the parameters best, and stop"
+        )
         parser.add_argument("--out", type=Path, metavar="FILE", help="write the identified vehicle (.toml)")
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and predicted signals; needs matplotlib")
-        parser.add_count("--seed", "seed of further starts", "0", 0, 2**31, 0)
-        parser.add_printed("shares of correlations outside their bounds")
+        parser.add_count("--seed", "seed of further starting points of the search", "0", 0, 2**31, 0)
+        parser.add_printed("shares of correlations of the residuals that are outside their bounds")
 
     def check(self, request: StudyRequest) -> None:
         from models.document.outputs import check_outputs
@@ -61,7 +76,7 @@ examples:
         options = request.options
         check_outputs({"vehicle": options.out}, [*options.files, *options.hold_out], options.json)
         if not options.files and not options.plan:
-            raise InputError("no log is given; give the file of one, or --plan for a test that is not driven yet")
+            raise InputError("no log is given; give a log file, or --plan to plan a test")
         if options.columns and options.plan:
             raise InputError("--columns and --plan print different results; give one of them")
         if (options.columns or options.plan) and options.picture is not None:

@@ -81,12 +81,12 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
             named = next((words for factor, words in FACTORS.items() if abs(ratio / factor - 1) < NEAR), "")
             if own > ALIKE and named:
                 raise InputError(
-                    f"{one.name}: {channel.signal} is {ratio:.4g} times what this vehicle would do; the column seems to be "
-                    f"{named}: write its unit in the map"
+                    f"{one.name}: {channel.signal} is {ratio:.4g} times the prediction of this vehicle; the column seems to "
+                    f"be {named}: write its unit in the map"
                 )
             if own < -ALIKE:
                 raise InputError(
-                    f"{one.name}: {channel.signal} has the opposite sign of what this vehicle would do (correlation {own:.2f}); "
+                    f"{one.name}: {channel.signal} has the opposite sign of this vehicle's prediction (correlation {own:.2f}); "
                     f"write sign = -1 below [signals.{channel.signal}] in the map"
                 )
             others = [j for j in range(len(units)) if j != i and units[j] == units[i]]
@@ -178,8 +178,8 @@ def _gain_words(signal: str, coefficient: float) -> str:
     factor = 1 + coefficient
     if abs(factor + 1) < NEAR:
         return f"{signal} with the opposite sign"
-    named = next((f": it seems to be {words}" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
-    return f"{signal} as {brief(factor)} times what its unit says{named}"
+    named = next((f" (it seems to be {words})" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
+    return f"{signal} scaled by a factor of {brief(factor)}{named}"
 
 
 def _lag(of: Estimate, signal: str) -> float:
@@ -269,7 +269,7 @@ def resonances(of: Estimate) -> list[str]:
             for pole in sorted(poles, key=lambda pole: -abs(pole))[:1]:
                 frequency = abs(float(np.angle(pole))) / (2 * np.pi * one.step)
                 if abs(pole) > SHARP and 0.05 < frequency * one.step < 0.45:
-                    remarks.append(f"the residuals of {name} oscillate at {brief(frequency)} Hz, which the vehicle does not")
+                    remarks.append(f"the residuals of {name} oscillate at {brief(frequency)} Hz, but the vehicle model does not")
     return remarks
 
 

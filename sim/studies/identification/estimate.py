@@ -427,7 +427,9 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     held, silent, directions = _structure(every, x)
     left = tuple(name for name in free if name not in (*held, *silent))
     if not left:
-        raise InputError("the signals determine no parameter alone or in combination; measure a signal that they move")
+        raise InputError(
+            "the signals determine neither a parameter nor a combination of parameters; measure a signal that depends on them"
+        )
     some = _Residuals(problem, left, {})
     best = _solve(some, _first(some))
     if _poor(some, best[0]):

@@ -125,14 +125,14 @@ def free_parameters(
             raise InputError(f"{short_repr(name)} is not a parameter; give one of {alike(name, given)}")
     for name in fix:
         if name in free:
-            raise InputError(f"{name} is fixed and free; give it once")
+            raise InputError(f"{name} is both fixed and free; give it once")
     first = {name: value for name, value in vehicle.parameters.items() if "" in parts and units.get(name) in UNITS and value > 0}
     own = {name: value for name, value in numbers.items() if name.split(".")[0] in parts and value > 0}
     first |= {name: value for name, value in own.items() if "volt" not in name and not name.endswith(".bandwidth")}
     first |= {name: given[name] for name in free}
     for name in free:
         if first[name] < 0:
-            raise InputError(f"{name} = {first[name]:g} cannot be estimated: only numbers above 0 can")
+            raise InputError(f"{name} = {first[name]:g} cannot be estimated, because only numbers above 0 can be estimated")
         if first[name] == 0:
             first[name] = _small(vehicle, name, units)
     return {name: value for name, value in first.items() if name not in fix}
@@ -148,7 +148,7 @@ def _small(vehicle: Vehicle, name: str, units: Mapping[str, str]) -> float:
     kind = vehicle.kind
     stiffness, mass = (p.get(kind.of_corner(one, ending), 0.0) for one in ("tyre_stiffness", "unsprung_mass"))
     if units.get(name) != "N s/m" or not stiffness or not mass:
-        raise InputError(f"{name} is 0 in the file; give a first value above 0 there, and free it then")
+        raise InputError(f"{name} is 0 in the file; give an initial value above 0 there, and then free it")
     return 2 * SMALL_START * float(np.sqrt(stiffness * mass))
 
 
@@ -232,7 +232,8 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
         for k in np.flatnonzero(lifted[i]):
             out[max(k - 2, 0) : k + margin] = True
         remarks.append(
-            f"{one.name}: a wheel is in the air in {int(lifted[i].sum())} samples; these do not count, nor {AFTER:g} s after each"
+            f"{one.name}: a wheel is in the air in {int(lifted[i].sum())} samples; these samples, and {AFTER:g} s after each "
+            "of them, are ignored"
         )
         edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(int)))
         for first, last in edges.reshape(-1, 2):

@@ -68,17 +68,17 @@ class SensorSection(Section):
 class LogKeys(Section):
     """Keys of the map for all logs, or for one."""
 
-    road: Annotated[str, Text("logged, flat, unknown, or a road as drive takes it")] = LOGGED
+    road: Annotated[str, Text("logged, flat, unknown, or a road as for roadproof drive")] = LOGGED
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
     start: Annotated[str, Choice("state at the first sample", (ESTIMATED, REST))] = ESTIMATED
     forces: Annotated[str, Choice("forces between samples", (STRAIGHT, HELD))] = STRAIGHT
     heights: Annotated[str, Choice("heights of the road between samples", (STRAIGHT, HELD))] = STRAIGHT
-    part: Annotated[str, Text("part of the vehicle that a dyno moved alone")] = ""
-    first: Annotated[float, SI("s", "time of the log at which it counts from", -1e9)] = -1e9
-    last: Annotated[float, SI("s", "time until which it counts", -1e9)] = 1e12
+    part: Annotated[str, Text("part of the vehicle that was tested alone on a dynamometer")] = ""
+    first: Annotated[float, SI("s", "time of the first sample that is used", -1e9)] = -1e9
+    last: Annotated[float, SI("s", "time of the last sample that is used", -1e9)] = 1e12
     rate: Annotated[float, SI("1/s", "samples per second of a log without times", 0.0)] = 0.0
-    every: Annotated[int, Integer("number of samples of which one is used", 1)] = 1
-    added: Annotated[Mapping[str, float], BySignal("additions to parameters", "parameters", -1e9, 1e9)] = field(
+    every: Annotated[int, Integer("use only one of so many samples; 1 uses all", 1)] = 1
+    added: Annotated[Mapping[str, float], BySignal("values added to parameters in this log", "parameters", -1e9, 1e9)] = field(
         default_factory=dict[str, float]
     )
 
@@ -156,7 +156,9 @@ class _KnownSection(Section):
 def _known(name: str, table: Any, vehicle: Vehicle, units: Mapping[str, str]) -> Known:
     weights = corner_weights(vehicle)
     if name not in units and name not in weights:
-        raise InputError(f"[known] {short_repr(name)} is not known of a vehicle; give one of {alike(name, [*weights, *units])}")
+        raise InputError(
+            f"[known] {short_repr(name)} is not a quantity of this vehicle; give one of {alike(name, [*weights, *units])}"
+        )
     given = read(f"[known] {name}", _KnownSection, table, unit=units.get(name, "N"))
     if name in units:
         return Known(name, lambda one: one.parameters[name], given.value, given.deviation)

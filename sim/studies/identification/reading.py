@@ -69,7 +69,11 @@ def _own_log(path: Path, units: Mapping[str, str]) -> MeasuredLog:
         for name, values in zip(samples.names, samples.values.T, strict=True)
         if name in units and name.startswith(driven)
     }
-    remarks = [f"the run {run.name!r} is used, of {list_names(one.name for one in log.runs)}"] if len(log.runs) > 1 else []
+    remarks = (
+        [f"the run {run.name!r} is used; the log contains the runs {list_names(one.name for one in log.runs)}"]
+        if len(log.runs) > 1
+        else []
+    )
     return MeasuredLog(str(path), time, signals, tuple(remarks))
 
 
@@ -77,13 +81,18 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     remarks = list(log.remarks)
     within = (log.time >= keys.first) & (log.time <= keys.last)
     if within.sum() < LEAST:
-        raise InputError(f"{int(within.sum())} samples count; at least {LEAST} are needed: change first and last in the map")
+        raise InputError(
+            f"only {int(within.sum())} samples are between first and last, but at least {LEAST} are needed; change first "
+            "and last in the map"
+        )
     within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False
     time = log.time[within]
     step, places, late, more = _grid(time)
     if log.rounded:
         late = max(late, _resolution(time) / 2)
-        remarks.append(f"{log.rounded} samples have the time of the one before, and are left out: times are rounded")
+        remarks.append(
+            f"{log.rounded} samples have the same time as the previous sample, and are left out, because times are rounded"
+        )
     remarks += more
     values = {name: np.full(places[-1] + 1, np.nan) for name in log.signals}
     for name, one in log.signals.items():
@@ -96,7 +105,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     driving = {name: values.pop(name) for name in (*heights, *acting) if name in values}
     for name in [name for name in values if name.startswith("road_velocity")]:
         values.pop(name)
-        remarks.append(f"{name} is left out: the heights of the road drive the vehicle")
+        remarks.append(f"{name} is left out, because the heights of the road drive the vehicle")
     hubs = keys.road == UNKNOWN
     if hubs:
         heights = [f"unsprung_acceleration{wheel.road_displacement.removeprefix('road_displacement')}" for wheel in kind.wheels]
@@ -113,7 +122,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         values[name], more = _counted(name, values[name], signal_units(kind)[name])
         remarks += more
         if np.isfinite(values[name]).sum() < LEAST:
-            remarks.append(f"{name} is left out: fewer than {LEAST} of its samples count")
+            remarks.append(f"{name} is left out, because fewer than {LEAST} of its samples can be used")
             values.pop(name)
     inputs, more = _filled(np.hstack([road, forces]), [*heights, *acting])
     remarks += more + ([] if hubs or keys.part else _slow(inputs[:, : len(heights)], step, late))
@@ -145,11 +154,11 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
             )
         )
     if not experiments:
-        raise InputError(f"no stretch of {LEAST} samples without a gap in the road or the forces")
+        raise InputError(f"the log contains no {LEAST} successive samples without a gap in the road or the forces")
     if len(experiments) > 1:
         names = (f"{one.name}, {rough(one.start)} s" for one in experiments)
         experiments = [replace(one, name=name) for one, name in zip(experiments, names, strict=True)]
-        remarks.append(f"gaps divide the log into {len(experiments)} stretches, each with a state of its own at its start")
+        remarks.append(f"gaps divide the log into {len(experiments)} stretches, and each stretch has its own initial state")
     return LogStretches(tuple(experiments), tuple(f"{Path(log.source).name}: {one}" for one in remarks))
 
 
@@ -177,7 +186,7 @@ def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
         rounded = len(np.unique(np.round(diffs, 9))) <= 5
         remarks.append(
             f"times deviate by up to {percent(deviation)} of the step of {rough(1e3 * step)} ms from equidistant ones"
-            f"{'; they look rounded' * rounded}: samples count as equidistant, which is an error of phase"
+            f"{'; they look rounded' * rounded}: samples are treated as equidistant, which causes a phase error"
         )
     if missing:
         remarks.append(f"{missing} samples are missing, of {places[-1] + 1}")
@@ -222,20 +231,20 @@ def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
             'map, as in column = "HEADING [mm]"'
         )
     if len(finite) < 2 or np.ptp(finite) == 0:
-        return np.full_like(values, np.nan), [f"{name} is constant, and does not count"]
+        return np.full_like(values, np.nan), [f"{name} is constant, and is ignored"]
     same = np.concatenate([[False], (np.diff(values) == 0)])
     lengths = _lengths(same)
     usual = float(np.mean(same[counted]))
     if usual < 0.2:
         frozen = _blocks(lengths, FROZEN)
         if frozen.any():
-            remarks.append(f"{name} is frozen for {int(frozen.sum())} samples in a row or more, which do not count")
+            remarks.append(f"{name} is frozen for {int(frozen.sum())} samples, which are ignored")
             values = np.where(frozen, np.nan, values)
         for extreme, word in ((np.nanmax(values), "largest"), (np.nanmin(values), "smallest")):
             clipped = _blocks(np.where(values == extreme, lengths, 0), CLIPPED)
             if clipped.sum() >= 2 * CLIPPED:
                 remarks.append(
-                    f"{name} is clipped at its {word} value {rough(extreme)} {unit}: {int(clipped.sum())} samples do not count"
+                    f"{name} is clipped at its {word} value {rough(extreme)} {unit}: {int(clipped.sum())} samples are ignored"
                 )
                 values = np.where(clipped, np.nan, values)
     else:
@@ -272,7 +281,7 @@ def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
                 column[first:last] = np.interp(np.arange(first, last), [first - 1, last], [column[first - 1], column[last]])
                 number += last - first
         if number:
-            remarks.append(f"{number} missing samples of {name} follow straight lines")
+            remarks.append(f"{number} missing samples of {name} are replaced by straight lines")
     return filled, remarks
 
 

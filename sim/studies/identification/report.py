@@ -100,7 +100,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
         elif name in estimate.held:
             rows.append(ParameterRow(name, unit, first, None, None, None, "not determined: see the products"))
         elif name in estimate.silent:
-            rows.append(ParameterRow(name, unit, first, None, None, None, "no signal feels it"))
+            rows.append(ParameterRow(name, unit, first, None, None, None, "no measured signal depends on it"))
         else:
             rows.append(ParameterRow(name, unit, first, None, None, None, f"only {product_words(estimate.ratios[name])}"))
     return rows
@@ -161,38 +161,45 @@ def statements(of: Identification) -> Iterator[Statement]:
     if estimate.directions:
         scale = [one for one in estimate.directions if {round(abs(power), 6) for power in one.powers.values()} == {1.0}]
         yield Statement(
-            f"The logs do not determine {list_names(estimate.held)} with all others: {SCALE}."
+            f"The logs cannot determine {list_names(estimate.held)} together with all other parameters: {SCALE}."
             if scale
-            else f"The logs do not determine {list_names(estimate.held)} with all others; fix one, or measure another signal.",
+            else f"The logs cannot determine {list_names(estimate.held)} together with all other parameters; fix one of them, "
+            "or measure another signal.",
             "ends",
         )
     for name in estimate.silent:
-        yield Statement(f"No signal feels {name}; it keeps its first value.", "ends")
+        yield Statement(f"No measured signal depends on {name}; it keeps its initial value.", "ends")
     for name in estimate.undetermined:
         if name in of.intervals:
-            yield Statement(f"{name} is not determined in practice: its interval is wider than a factor of 7 each way.", "ends")
+            yield Statement(
+                f"{name} is not determined in practice: its interval extends by more than a factor of 7 in each direction.",
+                "ends",
+            )
     if of.mirror:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
-            f"Another vehicle fits as well: {values}. These signals cannot tell suspension and tyre apart; measure the hub.",
+            f"Another vehicle fits equally well: {values}. These signals cannot distinguish the suspension from the tyre; "
+            "measure the hub.",
             "ends",
         )
     if estimate.noiseless:
         largest = at_most(max(estimate.noiseless.values()))
         words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
-        yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms: there is no noise to test.", "holds")
+        yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms, so there is no noise to test.", "holds")
     if {*estimate.noiseless} == {*estimate.problem.signals}:
         pass
     elif estimate.white:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
     else:
         yield Statement(
-            "The residuals are not white: the vehicle lacks something that the logs contain. Intervals count the residuals as "
-            "coloured, but cannot count a bias.",
+            "The residuals are not white: the vehicle lacks something that the logs contain. The intervals account for "
+            "coloured residuals, but they cannot account for a bias.",
             "fails",
         )
     for cause in of.causes[:3]:
-        yield Statement(f"The residuals contain {cause.words}, which explains {percent(cause.share)} of their squares.", "ends")
+        yield Statement(
+            f"The residuals contain {cause.words}. This explains {percent(cause.share)} of the squares of the residuals.", "ends"
+        )
 
 
 def describe(of: Identification) -> Document:
@@ -201,7 +208,7 @@ def describe(of: Identification) -> Document:
     caption = "values and 95 % intervals of the free parameters"
     blocks: list[Any] = [Table.of("parameters", caption, PARAMETERS, rows, words=2)]
     if ratios:
-        blocks.append(Table.of("products", "what the logs determine instead", PRODUCTS, ratios))
+        blocks.append(Table.of("products", "combinations of parameters that the logs do determine", PRODUCTS, ratios))
     caption = "fit: share of a signal's rms that the vehicle explains; p below 0.001: residuals are not white"
     blocks.append(Table.of("sensors", caption, SENSORS, sensor_rows(of), words=3))
     blocks += [*statements(of)]
@@ -214,13 +221,17 @@ def describe(of: Identification) -> Document:
             Statement(f"MuJoCo differs from the prediction by at most {at_most(of.in_mujoco[worst])} of a peak ({worst}).")
         )
     if of.allowed:
-        caption = f"controllers on {of.allowed[0].vehicles} vehicles: the estimate, and the ends of the axes of the 95 % ellipse"
+        caption = (
+            f"controllers on {of.allowed[0].vehicles} vehicles: the estimated vehicle, and the vehicles at the ends of "
+            "the axes of the 95 % confidence ellipse"
+        )
         blocks.append(Table.of("controllers", caption, ALLOWED, of.allowed))
         for one in of.allowed:
             if one.worst_bound is not None:
                 blocks.append(
                     Statement(
-                        f"`{one.name}` has a proved norm below {WORST_BOUND.digits(one.worst_bound)} on each of these.", "holds"
+                        f"`{one.name}` has a proved norm below {WORST_BOUND.digits(one.worst_bound)} on each of these vehicles.",
+                        "holds",
                     )
                 )
     blocks += notes(*of.remarks)
@@ -231,8 +242,14 @@ def describe_plans(each: Sequence[ChirpPlan]) -> Document:
     """Describes plans: chirps, and the standard deviation of each parameter with the best one."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
-    caption = "chirps of a rig's posts, with the largest relative standard deviation of a parameter"
-    return Document("Plan", (Table.of("plans", caption, PLANS, each), *notes(f"The first chirp determines: {', '.join(rows)}.")))
+    caption = "chirps for the posts of a rig, with the largest relative standard deviation of a parameter"
+    return Document(
+        "Plan",
+        (
+            Table.of("plans", caption, PLANS, each),
+            *notes(f"Relative standard deviations with the first chirp: {', '.join(rows)}."),
+        ),
+    )
 
 
 def record(of: Identification) -> dict[str, Any]:
@@ -290,8 +307,8 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     replaced += [Replacement(("parts", part, key), {key: values[f"{part}.{key}"]}) for part, key in paths]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
-    held = {name: "not determined: the logs give only its products with others" for name in estimate.held}
-    held |= {name: "no signal feels it" for name in estimate.silent}
+    held = {name: "not determined: the logs give only its products with other parameters" for name in estimate.held}
+    held |= {name: "no measured signal depends on it" for name in estimate.silent}
     content: dict[str, Any] = {
         "intervals": intervals,
         "fixed": held,

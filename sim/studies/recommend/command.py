@@ -61,13 +61,14 @@ examples:
         parser.add_argument(
             "--within",
             metavar="LIMITS",
-            help="limits as LIMIT=VALUE with commas; others keep their defaults, and none removes one (default: "
+            help="limits LIMIT=VALUE, separated by commas; other limits keep their defaults, and LIMIT=none removes a limit "
+            "(default: "
             "stroke=95%%,force=100%%,gain_margin=6dB,disk=0.3,off_ground=0.1%%)",
         )
         parser.add_argument(
             "--save", type=Path, metavar="FILE", help="write the vehicle file with the best controller as [controllers.best]"
         )
-        parser.add_argument("--quick", action="store_true", help="search a tenth of the candidates")
+        parser.add_argument("--quick", action="store_true", help="search only a tenth of the candidates")
         parser.add_number("--timestep", 1e-3, "s", "integration step of MuJoCo")
         parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -123,7 +124,9 @@ examples:
         saved = None if result.interrupted or request.options.save is None else result.saved
         written = written_lines({"save": saved and request.options.save})
         if saved is not None and saved is not result.best:
-            written.append(f"The file contains {saved.candidate.name}: the best controller needs the road ahead, or Python.")
+            written.append(
+                f"The file contains {saved.candidate.name}, because the best controller needs the road ahead, or Python."
+            )
         title = title_lines(self.title(request, result), result.task.vehicle.source)
         return [*title, *text_lines(self.describe(request, result)), *written]
 

@@ -77,7 +77,7 @@ def drive_candidates(
     time, ratings, count = sample_times(task.vehicle, duration, task.timestep), list[Rating](), max(1, AT_ONCE // len(roads))
     observer = partial(Peaks, round(start / task.timestep), road.speed, names)
     for first in range(0, len(candidates), count):
-        progress(f"{first} of {len(candidates)} candidates driven")
+        progress(f"{first} of {len(candidates)} candidates simulated")
         some, failures = candidates[first : first + count], dict[int, Failure]()
         cases = [Case(one.vehicle, one.controller, each) for one in some for each in roads]
         (results,) = drive(cases, time, observer, threads=0, streamed=True, failures=failures)

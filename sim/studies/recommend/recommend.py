@@ -223,9 +223,9 @@ class _Work:
         """Returns the recommendation so far."""
         rows, left, task = [self._exact(row) for row in self.rows()], dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
-        left |= {one.name: "a run breaks off in MuJoCo" for one in self.driven if one.name not in named}
+        left |= {one.name: "a run ends early in MuJoCo" for one in self.driven if one.name not in named}
         if not {*task.line.linear_model.states} <= {*task.sensors}:
-            left["preview"] = f"the sensors measure not all {len(task.line.linear_model.states)} states"
+            left["preview"] = f"the sensors do not measure all {len(task.line.linear_model.states)} states"
         if not task.vehicle.dampers:
             left["semi-active laws"] = "the file has no adjustable dampers"
         # A subset of sensors may have been searched better: what it reaches, more sensors reach, too.

@@ -209,8 +209,8 @@ def describe(result: Recommendation) -> Document:
         unit = 10.0 ** (math.floor(math.log10(result.bound)) - 1)
         floor = about(unit * math.floor(result.bound / unit))
         texts.append(
-            f"In linear analysis without limits, no controller has an expected ride below {floor} m/s² (LQG over the same "
-            "sensors, with sample period, delay and hold). This is for active laws only."
+            f"In linear analysis without limits, no controller with active forces has an expected ride below {floor} m/s². "
+            "This is the ride of LQG with the same sensors, sample period, delay and hold."
         )
     whole = result.sensors.get(tuple(known), math.nan)
     if len(result.sensors) > 1:
@@ -220,9 +220,14 @@ def describe(result: Recommendation) -> Document:
             for groups, value in result.sensors.items()
         ]
         usual = "" if task.random else " on class C"
-        texts.append(f"Expected {WORDS[task.goal]}{usual} of the best LQG by its sensors: {', '.join(each)} {column.unit}.")
+        texts.append(
+            f"Expected {WORDS[task.goal]}{usual} of the best LQG with different sensors: {', '.join(each)} {column.unit}."
+        )
     kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
-    reserve = f" Reserve for other roads: {SHARE.text(kept)} of stroke and force, {SHARE.text(lift)} of the time off the ground."
+    reserve = (
+        f" A reserve is kept for other roads: {SHARE.text(kept)} of stroke and force, and {SHARE.text(lift)} of the "
+        f"time off the ground."
+    )
     texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []

@@ -82,7 +82,7 @@ RIDE: tuple[Field[Ride], ...] = (
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Document:
     """Returns the section about the ride: metrics of all controllers on the roads of all classes."""
     caption = f"Roughness of the roads over their first {SPEED * WINDOW:g} m."
-    headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
+    headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of the roads driven [m/km]")
     rough = Table("roads", caption, headings, tuple(_roughness_row(vehicle, name) for name in CLASSES), detail="full")
     pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
     caption = "Metrics of the ride in MuJoCo by road class. The full table adds predicted values and lift-off."
@@ -141,10 +141,12 @@ def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
     return (
         f"MuJoCo drives {len(SEEDS)} random roads of each ISO 8608 class at {SPEED:g} m/s, {WINDOW:g} s each. "
-        "'Weighted' is the rms acceleration of ISO 2631-1, Wk. 'Dynamic load' is the rms tyre force over its static value.",
+        "'Weighted' is the rms acceleration of ISO 2631-1, Wk. 'Dynamic load' is the rms of the dynamic tyre force, relative "
+        "to the static force.",
         f"Predictions use the road's spectrum and the sampled linear loop{f', without {without}' if without else ''}.{curved}",
-        "Values are root mean squares: in MuJoCo over the roads driven, predicted over all roads of the class. 'Road to road' is "
-        "the standard deviation between such roads; MuJoCo's value differs by about half of it.",
+        "Values are root mean squares, in MuJoCo over the roads driven, and predicted over all roads of the class. 'Road to "
+        "road' is the standard deviation between roads of a class; MuJoCo's value differs from the prediction by about half "
+        "of this deviation.",
         "'Lift-off' is the largest share of time for which a tyre leaves one of these roads. A run is omitted if it diverges, "
         "overflows the states of a law, or compresses a tyre fully.",
     )

@@ -133,7 +133,7 @@ class RunMetrics(ShownResult):
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()
         }
-        rows = {name: text or "no value, because the run broke off" for name, text in rows.items()}
+        rows = {name: text or "no value, because the run ended early" for name, text in rows.items()}
         return facts(f"metrics of a run: {len(rows)}", rows)
 
 
@@ -197,7 +197,7 @@ def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
     """Returns a text that describes the measured time, from the sample times [s] and the result of `measured_samples`."""
     first, end = samples
     begins = f"from {WHEN.digits(time[first])}"
-    return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, the passage"
+    return f"{begins} s on" if end is None else f"{begins} to {WHEN.text(time[end - 1])}, while the vehicle crosses the obstacle"
 
 
 def points_end(road: Road, duration: float) -> float | None:
@@ -317,8 +317,8 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
     if metrics.error is not None:
         clauses = dict.fromkeys(one.accuracy for one in metrics_of(vehicle) if one.accuracy)
         said.append(
-            f"Values with ~ are approximate: {', '.join(clauses)}. For short runs or light damping, the deviation by road (+-) "
-            "is up to 45 % too large."
+            f"Values with ~ are approximate: {', '.join(clauses)}. For short runs or light damping, the deviation between "
+            "roads (+-) is up to 45 % too large."
         )
     said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:

@@ -92,7 +92,7 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
     caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
     if not there:
-        caption = "No controller can be compared, because each has a run that broke off."
+        caption = "No controller can be compared, because each has a run that ended early."
     return Table.of("compared", caption, (*columns, *more), scores, words=1 + several)
 
 

@@ -310,10 +310,14 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     slopes += [f"{name} is {three_digits(1e3 * mean)} mm on average" for name, mean in whole["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.parts.with_curve)
     note = " A position-dependent damper is replaced by its mean force over all deflections; rms is then exact to 3 %." * tabled
-    rest, accuracy = line.remainder, "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. "
+    rest, accuracy = (
+        line.remainder,
+        ("Rms and dynamic load are exact to 1 %; vdv can be up to 4 % too high, energy up to 5 %, and crest up to 8 %. "),
+    )
     if rest is not None and rest.sharp:
         accuracy = (
-            f"The lines do not explain {percent(rest.share)} of the variance of a force, so accelerations use only the lines. "
+            f"The straight lines do not explain {percent(rest.share)} of the variance of a force, so expected accelerations "
+            "are computed from these lines alone. "
         )
         friction = "As with friction, rms is exact to 3 %, and dynamic load is up to 8 % too low"
     else:
@@ -321,8 +325,9 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     return [
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
         f"Slopes of the straight lines that replace curves on this road: {'; '.join(slopes)}.{note}",
-        f"{accuracy}{friction}; vdv is up to 10 % too high, crest 35 %. If wheels leave the ground, vdv is up to 8 % too high; "
-        "crest, travel and forces up to 15 %, or 20 % if wheels are in the air for a fifth of the time.",
+        f"{accuracy}{friction}; vdv can be up to 10 % too high, and crest up to 35 %. If wheels leave the ground, vdv can be "
+        "up to 8 % too high; crest, travel and forces can be up to 15 % too high, or up to 20 % if wheels are in the air for "
+        "a fifth of the time.",
     ]
 
 

@@ -240,10 +240,11 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
         table = Table.of(f"step-{run.controller.name}", caption, _columns("signal", "response"), rows, 2)
         blocks.append(Document(run.controller.name, (table,), "full"))
     about = (
-        "IAE and ITAE integrate the distance from the final value, in the signal's unit times s and s².",
+        "IAE and ITAE are integrals of the distance from the final value, in the signal's unit times s and times s².",
         f"A signal has settled when it stays within {percent:g} % of its final value, or of its peak if it returns to zero.",
-        "Overshoot is relative to the final value. If that is zero, it is on the side opposite the peak, relative to the peak.",
-        "Exact values are of the continuous linear response. Cubics interpolate MuJoCo's signals between samples.",
+        "Overshoot is relative to the final value. If the final value is zero, overshoot is measured on the side opposite the "
+        "peak, relative to the peak.",
+        "Exact values are those of the continuous linear response. Cubics interpolate MuJoCo's signals between samples.",
     )
     return Document(title, (*blocks, *notes(*about, detail="full")))
 

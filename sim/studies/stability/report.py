@@ -88,7 +88,7 @@ PHASE = _margin("phase", lambda of: of.predicted.phase, lambda of: of.found_phas
 DELAY = _margin("delay", lambda of: of.predicted.delay, lambda of: of.found_delay, 1e3, "ms")
 PERIOD = _margin("sample period", lambda of: of.predicted.sample_period, lambda of: of.found_sample_period, 1e3, "ms")
 LOOPS: tuple[Field[tuple[str, LoopMargins]], ...] = (
-    Field("loop, the others closed", lambda of: of[0]),
+    Field("loop, with the others closed", lambda of: of[0]),
     *(one.of(lambda of: of[1]) for one in (*GAIN, *DELAY)),
 )
 COMPARED_MARGINS: tuple[Field[tuple[str, Row]], ...] = (
@@ -164,7 +164,7 @@ def describe(found: StabilityMargins) -> Document:
     blocks += [Table.of("loops", "Margins of each loop.", LOOPS, loops)] if loops else []
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
-        blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
+        blocks.append(Document(f"{name}, with the other loops closed", (table,), "full" if one.agrees else "normal"))
     blocks += [Document("", notes(*(one.text for one in controller.robustness)))] if controller.robustness else []
     return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
 
@@ -266,7 +266,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else below
     rows.append(Row(f"phase lag{of} [rad]", *_values(PHASE, one), note, usual=_degrees(predicted.phase)))
     if (least := predicted.smallest_phase) < predicted.phase * (1 - 1e-9):
-        note = "at another crossover than that of the delay"
+        note = "at a different crossover than the delay"
         rows.append(Row(f"smallest phase lag{of} [rad]", least, note=note, extra=True, usual=_degrees(least)))
     note = f"at {FREQUENCY.text(predicted.lead_frequency)}" if predicted.leading else below
     rows.append(Row(f"phase lead{of} [rad]", predicted.lead, note=note, usual=_degrees(predicted.lead)))

@@ -113,7 +113,7 @@ class MeasuredComparison:
         yield from (f"{about}{remark}" for remark in self.log.remarks)
         if not self.given and self.correlation < WEAK:
             most = CORRELATION.digits(self.correlation)
-            yield f"{about}the largest correlation with a run is only {most}; check the start, or give it"
+            yield f"{about}the largest correlation with a run is only {most}; check the start, or give the start"
         for name in self.response.names:
             ones = [fits[name] for fits in self.fits if name in fits]
             best = max(ones, key=lambda one: one.correlation or 0.0)
@@ -167,7 +167,7 @@ def compare_log(
     """
     several = [until_end(run) for run in runs]
     if min(len(one.time) for one in several) < LEAST:
-        raise InputError(f"measured log {log.source}: a run broke off at its start, and cannot be compared; omit its controller")
+        raise InputError(f"measured log {log.source}: a run ended at its start and cannot be compared; omit its controller")
     given = start is not None
     starts = [(start, ())] * len(runs) if start is not None else [_best_start(log, one) for one in several]
     scores = [_score(log, one, at) for one, (at, _) in zip(several, starts, strict=True)]

@@ -99,7 +99,7 @@ class Cells:
             return ""
         least, most = percent(min(some)), percent(max(some))
         much = most if least == most else f"{least} to {most}"
-        return f"the semi-active dampers lack {much} (rms) of the commanded force"
+        return f"the semi-active dampers cannot supply {much} (rms) of the commanded force"
 
     @cached_property
     def others(self) -> frozenset[int]:

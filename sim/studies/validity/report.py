@@ -111,7 +111,7 @@ def describe(cells: Cells) -> Document:
     rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
-        f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis"
+        f"MuJoCo simulated {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis"
         f"{' with the slopes at equilibrium' * cells.vehicle.parts.nonlinear} is within "
         f"{THRESHOLD.text(cells.threshold)} of every peak."
     ]
@@ -121,7 +121,9 @@ def describe(cells: Cells) -> Document:
     if away := cells.share(lambda one: one.broke_off == LAW_OVERFLOW):
         texts.append(f"In {SHARE.text(away)} of these runs, the states of the law overflow, so the law requests no finite force.")
     if cells.short:
-        texts.append(f"Linear analysis is not valid at any height: {cells.short}. The map includes the dampers.")
+        texts.append(
+            f"Linear analysis is not valid at any height: {cells.short}. The limits in the map are predicted with these dampers."
+        )
     parts = Document("", notes(*_loop_texts(cells))), edge_document(cells), Document("", (table, *notes(*texts)))
     return Document("", apart(*parts, *verdicts([cells])))
 
@@ -153,7 +155,10 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
         f"Linear analysis{' with the slopes at equilibrium' * maps[0].vehicle.parts.nonlinear} holds in a run if it is within "
         f"{THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
-    caption = "Shares of cells by first predicted limit, and of MuJoCo's runs where analysis holds, or that are as predicted."
+    caption = (
+        "Shares of cells by first predicted limit, and shares of MuJoCo's runs in which linear analysis holds, or which "
+        "are as predicted."
+    )
     figures = (replace(envelope_figure(one), name=f"map-{one.controller.name}") for one in maps)
     blocks = (*verdicts(maps), *notes(*text), *figures, Table.of("validity", caption, VALIDITY, maps))
     return Document("Range of linear analysis over height and speed", blocks)
@@ -199,7 +204,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         if not end or end in confirmed
     ]
     failed = [
-        f"MuJoCo DOES NOT leave the linear range of {name} as predicted, by {end.predicted_end} at {HEIGHT.text(end.predicted)}."
+        f"MuJoCo DOES NOT leave the linear range of {name} as predicted ({end.predicted_end} at {HEIGHT.text(end.predicted)})."
         for name, end in claimed
         if end and end not in confirmed
     ]
@@ -210,7 +215,10 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
     if confirmed:
         off = at_most(max(end.error for end in confirmed))
-        text += f" MuJoCo{noise} ran bumps {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no limit is reached, "
+        text += (
+            f" MuJoCo{noise} simulated bumps that are {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no "
+            "limit is reached, "
+        )
         which = NONLINEAR if vehicle.parts.nonlinear else "analysis"
         text += f"and {which} is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]

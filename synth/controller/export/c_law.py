@@ -157,7 +157,9 @@ def exported_law(
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if driver.user_code is True:
-        raise InputError(f"controller {driver.name!r} is {driver.kind}, already code; export a linear or semi-active law")
+        raise InputError(
+            f"controller {driver.name!r} is {driver.kind}, which is already code; export a linear or semi-active law"
+        )
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
     if not all(damper.replaces for damper in vehicle.dampers.values()):

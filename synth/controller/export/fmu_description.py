@@ -82,9 +82,10 @@ def _about(model: FmuModel) -> str:
         return f"{model.title}. SI units, from static equilibrium. In co-simulation a step with constant inputs is exact."
     title = f"{model.title}. Outputs are delayed by {samples(model.delay)}" if model.delay else model.title
     if model.period is None:
-        return f"{title}. A step computes the outputs from the present inputs, and may have any length."
+        return f"{title}. A step computes the outputs from the current inputs, and may have any length."
     return (
-        f"{title}. The law is discrete: each step must last {model.period:g} s and computes the outputs from the present inputs. "
+        f"{title}. The law is discrete: each step must last {model.period:g} s and computes the outputs from the current "
+        f"inputs. "
         "Step this FMU before the vehicle, or its outputs act one period later."
     )
 

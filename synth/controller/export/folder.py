@@ -97,7 +97,9 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certifica
     meaning = "coefficient of the damper" if law.dampers else "force, positive if it pushes body and wheel apart"
     outs = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit in zip(law.outputs, source.out_units, strict=True))
     period = (
-        f"every {1e3 * law.period:g} ms" if law.period is not None else "at any period that is short against the vehicle's motion"
+        f"every {1e3 * law.period:g} ms"
+        if law.period is not None
+        else "at any period that is short compared with the vehicle's motion"
     )
     steps = [f"{tick}{name}{tick} in steps of {how.quantisation[name]:g}" for name in law.inputs if how.quantisation.get(name)]
     does = [
@@ -145,7 +147,7 @@ All signals are measured from static equilibrium; upwards is positive. {" ".join
 cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
 ```
 
-- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows if a file was changed.
+- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows whether a file changed.
 """
 
 

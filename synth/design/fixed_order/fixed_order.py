@@ -257,7 +257,10 @@ class _Search:
             structure=plant_problem.free,
         )
         gain = multi_objective_design(problem, [plant_problem.gain(law) for law in known]).gain
-        origin = "many starts, ended before the gain grows too much; the loop keeps a tenth of the decay of its start"
+        origin = (
+            "many starts, each ended before the gain grows too much; the loop keeps at least a tenth of the decay rate "
+            "at its start"
+        )
         end = self.beyond_rounding(plant_problem.law(gain), origin)
         if end.certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(end.certificate.failures)}")

@@ -162,7 +162,7 @@ def for_goals(problem: DesignProblem, progress: Progress) -> DesignResult:
     assert problem.goals is not None, "goals"
     found = run_search(problem.goals, progress)
     law, share = static_law(found.gain), found.rejected_improvement
-    refused = f"; not accepted: {percent(share)} less for up to twice the gain" if share is not None else ""
+    refused = f"; not accepted: a further decrease by {percent(share)} for up to twice the gain" if share is not None else ""
     remarks = [f"designed for its goals, by descent from the two-step method and other starts{refused}"]
     if problem.thorough and (unproved := found.unproved):
         remarks.append(f"stability with all errors is not proved for member {', '.join(map(str, unproved))}")

@@ -119,8 +119,8 @@ def _signal(where: str, plant: Plant, row: int, bound: EnergyBound) -> BoundedSi
     """Returns the row of z that is bounded for disturbances of a given energy."""
     if np.any(plant.Dw[row]) or np.any(plant.Dyw) or plant.dt is not None:
         raise InputError(
-            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts on it directly; "
-            "bound a norm"
+            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts directly on "
+            "this signal; bound its norm instead"
         )
     name = f"{bound.energy_peak} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

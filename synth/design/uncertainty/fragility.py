@@ -281,7 +281,9 @@ def proved_text(report: Fragility) -> str:
     """Returns the proved margins as text."""
     text = f"stability is {_proved_text(report.stable, 'each error')}"
     for share, one in report.within.items():
-        beyond = f", and errors of {_percents(one.smallest_violation)} exceed it" if math.isfinite(one.smallest_violation) else ""
+        beyond = (
+            f", and violated by errors of {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
+        )
         text += f"; a norm at most {_percents(share)} higher is {_proved_text(one, 'errors')}{beyond}"
     return text
 
@@ -300,4 +302,4 @@ def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
         share = one.norm.value / norm - 1
         change = f"{percent(abs(share))} {'higher' if share > 0 else 'lower'}" if abs(share) > SAME else "unchanged"
         said.append(f"{name} {digits(one.norm.value)} ({change}{bound})" if one.stable else f"{name} UNSTABLE")
-    return f"norm with rounded numbers of the law: {'; '.join(said)}" if said else ""
+    return f"norm after rounding the law's coefficients: {'; '.join(said)}" if said else ""

@@ -65,10 +65,10 @@ def about(one: Cost, lag: str, designs: bool) -> str:
     designed = "designed: change with a gain designed for this rate. " if designs else ""
     text = (
         f"cheap: the slowest rate that raises the norm by at most {percent(LITTLE)}, or else the fastest rate. at once, late: "
-        f"change of the norm if forces act at once, or {delay_text(one.delay)}. {designed}lost: the highest unstable rate, - if "
-        f"none is found down to {1 / LONGEST_PERIOD:g} Hz."
+        f"change of the norm if forces act at once, or {delay_text(one.delay)}. {designed}lost: the highest unstable rate, or "
+        f"- if no unstable rate is found down to {1 / LONGEST_PERIOD:g} Hz."
     )
-    return f"{text} Norms include {lag}; those of the design table do not." if lag else text
+    return f"{text} Norms include {lag}; the norms of the design table do not." if lag else text
 
 
 def _table(one: Cost, lag: str, detail: Detail) -> Document:

@@ -165,7 +165,9 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
         raise InputError(f"--front cannot design static gains like {name!r}: {why}; give another controller with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
     if vehicle.integrals:
-        raise InputError(f"controller {name!r}: --front designs static gains, which have no integral; omit it in [performance]")
+        raise InputError(
+            f"controller {name!r}: --front designs static gains, which have no integral; omit the integral in [performance]"
+        )
     return entry
 
 

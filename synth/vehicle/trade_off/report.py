@@ -60,7 +60,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     meanings = "; ".join(f"{axis.label}: {axis.meaning}" for axis in front.axes)
     controller = front.points[0].controller
     spans, *beaten = _results(front)
-    gains = f"All designs are static gains on {', '.join(controller.measured)}. {meanings}."
+    gains = f"All designs are static gains from the measurements {', '.join(controller.measured)}. {meanings}."
     caption = "Some designs of the front: proved norms and gains."
     return Document(
         "Trade-off between objectives",
