@@ -17,7 +17,7 @@ All other names may move without notice.
 
 from models.common.lazy import attach
 
-USUAL_TIMESTEP = 1e-3  # default timestep of runs [s], and so the default sample period of controllers
+USUAL_TIMESTEP = 1e-3  # default timestep of runs [s]; also the default sample period of controllers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # imports for type checkers and editors
