@@ -20,8 +20,8 @@ setting, F_max (`models.parts`). With the valve setting s from 0 to 1, the dampe
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
 where c_min and c_max are the slopes of F_min and F_max at v = 0. A setting is identified by its coefficient at v = 0, c = c_min
-+ s (c_max - c_min). The function h is a velocity with slope 1 at v = 0. It is as nonlinear as the characteristics. If they are
-straight, h = v and F = c v.
++ s (c_max - c_min). The function h is a velocity with slope 1 at v = 0. The function is as nonlinear as the characteristics. If
+they are straight, h = v and F = c v.
 """
 
 from collections.abc import Mapping, Sequence

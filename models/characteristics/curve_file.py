@@ -3,9 +3,9 @@
 When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. The
 files of control laws and families are handled in the same way. Tables in CSV, `.xlsx` or `.mat` files have a header with
 quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property files (`.dpr`) of Adams/Car have the TeimOrbit
-format. It consists of blocks in brackets, tables below a row of names in braces, and comments after `$` or `!`. The block
-`[UNITS]` contains the units, and the block `[CURVE]` contains the table. Sources: MSC Software, Adams Tire help, "About tire
-property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
+format. A file in this format consists of blocks in brackets, tables below a row of names in braces, and comments after `$` or
+`!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the table. Sources: MSC Software, Adams Tire help,
+"About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
 """
 
 import re

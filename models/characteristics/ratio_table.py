@@ -128,7 +128,7 @@ class RatioTable:
         """Returns the force of a damper at the wheel, over velocity and deflection.
 
         The force of a position-dependent damper is computed at the deflections of both tables and at `COLUMNS` more
-        deflections. It is interpolated linearly between them.
+        deflections. The force is interpolated linearly between these deflections.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):

@@ -3,9 +3,9 @@
 Every wait for an answer has a time limit, and the end of a child raises an exception. Children can therefore execute code that
 hangs or crashes.
 
-Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need
-`if __name__ == "__main__"`. A child has an empty stdin, and its prints go to stderr. It ignores Ctrl-C and ends with its
-parent, even in the middle of a call.
+Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need `if __name__
+== "__main__"`. A child has an empty stdin, and its prints go to stderr. A child ignores Ctrl-C, and ends when its parent ends,
+even in the middle of a call.
 """
 
 import os
@@ -40,9 +40,9 @@ class Child:
         """Starts the process.
 
         Args:
-            answers: generator function that runs in the child. It receives an iterator of messages and yields an answer for
-                each. `receive` raises an exception that the function yields or raises. An exception that the function raises
-                ends the child.
+            answers: generator function that runs in the child. The function receives an iterator of messages and yields an
+                answer for each message. `receive` raises an exception that the function yields or raises. An exception that the
+                function raises ends the child.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(

@@ -43,7 +43,7 @@ ALL = "all"  # word that selects all controllers, instead of a controller's name
 class Parser(argparse.ArgumentParser):
     """Command-line parser with one-line errors.
 
-    It refuses empty options, and repeated options unless they are declared as such.
+    The parser refuses options with an empty value, and repeated options unless they are declared as repeatable.
     """
 
     by_verb = False  # True if the command was called as `roadproof VERB`; help and errors then use this form

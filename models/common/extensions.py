@@ -223,6 +223,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         ),
     },
 }
-_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # by default, a metric is not combined over runs
+_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # the default of `over_runs`: a metric is not combined over runs
 EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
 PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

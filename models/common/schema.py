@@ -7,9 +7,9 @@ A section is a frozen dataclass; the annotation of each field gives unit, range 
         mass: Annotated[float, SI("kg", "point mass on the body", high=1e5)]
         x: Annotated[float, SI("m", "position of the mass, forward", -20.0, 20.0)] = 0.0
 
-This declaration determines the reader of the section and the messages for invalid input (`read`). It also determines the record
-of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`).
-`models.common.checks` uses the same annotations for public functions.
+This declaration determines the reader of the section and the messages for invalid input (`read`). The declaration also
+determines the record of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema
+(`json_schema`). `models.common.checks` uses the same annotations for public functions.
 """
 
 import functools
@@ -394,7 +394,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Adds section and key to the message of an InputError: in place of `HERE`, or at the beginning."""
+    """Adds section and key to the message of an InputError: either `HERE` is replaced, or they precede the message."""
     try:
         yield
     except InputError as error:

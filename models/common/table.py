@@ -62,7 +62,7 @@ class NumberTable:
     give: str
 
     def headings(self, units: Collection[str], optional: bool = False, alike: bool = False) -> list[Heading]:
-        """Returns the headings of all columns. They are on the line above the numbers, or above a line with units.
+        """Returns the headings of all columns. The headings are on the line above the numbers, or above a line with units.
 
         Args:
             units: units whose dimensions are allowed for columns.
@@ -319,7 +319,7 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
-    """Finds the table in a text. It begins with the first line that has a number in a given column.
+    """Finds the table in a text. The table begins with the first line that has a number in a given column.
 
     Args:
         text: the text.

@@ -41,9 +41,9 @@ class Statement:
 
 @dataclass(frozen=True)
 class Pivot:
-    """A short form of a long table. It has a row for each combination of values in some columns.
+    """A short form of a long table.
 
-    The values of another column become columns.
+    The short form has a row for each combination of values in some columns, and a column for each value of another column.
 
     Attributes:
         rows: headings of the columns whose values form the name of a row. The cell of a column `unit` is added to the name in

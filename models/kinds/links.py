@@ -35,7 +35,7 @@ A link that carries load pushes the body at its axle, and the wheels of this axl
 wheels does not push the body. The inertial force of the wheels, which acts at their height, is a moment on the tyres: of one
 axle in cornering, of both axles in braking.
 
-A half-car in the roll plane has a single axle. The body of such a half-car rolls about its roll centre, and its links carry the
+A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
 whole lateral force.
 """
 

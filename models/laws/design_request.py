@@ -14,8 +14,8 @@ class LawStructure:
     """Structure of a law that is designed.
 
     Attributes:
-        order: number of states. If there are `rows`, the number applies to the law of each force. It is 0 for PI and PID, whose
-            structure defines the number of states.
+        order: number of states. If there are `rows`, the number applies to the law of each force. The number is 0 for PI and
+            PID, whose structure defines the number of states.
         rows: a row for each force, with True for each measurement that may act on this force. Each force then has its own law.
             None means one law from all measurements to all forces.
         kind: "pi" or "pid"; empty for a law with a given order.

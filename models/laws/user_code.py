@@ -25,7 +25,7 @@ def compile_file(what: str, path: Path, text: str) -> CodeType:
     """
     try:
         return compile(text, str(path), "exec")
-    # For example a NUL character, or too many nested brackets
+    # The text may contain, for example, a NUL character or too many nested brackets
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise InputError(f"{what}: its code is not valid Python ({getattr(error, 'msg', error)}{where}); correct it") from error

@@ -18,7 +18,7 @@ from models.parts.stops.stop import holds, places_of
 
 @dataclass(frozen=True)
 class PartSite(Section):
-    """Keys that all elements have in common."""
+    """Keys that the sections of all elements have in common."""
 
     kind: Annotated[str, Text("name of the part")]
     at: Annotated[tuple[str, ...], ListedValues("suspensions or axles with the element; default: all", Text())] = ()
@@ -56,7 +56,7 @@ class Element:
 
     @property
     def numbers(self) -> dict[str, tuple[float, SI]]:
-        """Numbers that a campaign may vary, by `NAME.key`, each with its unit and range."""
+        """Numbers of the element that a campaign may vary, by `NAME.key`, each with its unit and range."""
         section = type(self.part) if isinstance(self.part, Section) else Section
         own = {key: one for key, one in keys(section).items() if isinstance(one, SI)}
         return {
@@ -76,7 +76,7 @@ def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) ->
 
 
 def element_kinds() -> dict[str, type[Section]]:
-    """Returns the parts that can be elements, by the `kind` in their section."""
+    """Returns the parts that can be elements, by the value of `kind` in their section."""
     return {name: one for name, one in PARTS.load_all().items() if issubclass(one, Section)}
 
 
@@ -86,7 +86,7 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
     Args:
         section: the section `[parts]`.
         corners: names of the corners with suspensions.
-        taken: names of parameters, which must not be names of elements.
+        taken: names of parameters, which elements must not have.
 
     Raises:
         InputError: a part or a place is unknown, or a key is missing, unknown or not allowed.
