@@ -91,7 +91,7 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Segments of the table and its constant ends: start, travel and ratio there, and slope of the ratio, shape (4, n + 1)."""
+        """Segments of the table and its ends: start, travel and ratio at the start, and slope of the ratio, shape (4, n + 1)."""
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
         rest = int(np.searchsorted(x, 0.0, side="right")) - 1

@@ -66,7 +66,7 @@ def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def three_digits(value: float) -> str:
-    """Returns a number with three significant digits, or with all digits before the decimal point if there are more than three."""
+    """Returns a number with three significant digits, or without decimals if it has three or more digits before the point."""
     return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
 
 

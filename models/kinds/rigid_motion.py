@@ -215,7 +215,7 @@ class RigidMotion:
         return M
 
     def turns(self, columns: Array) -> tuple[Array, Array]:
-        """Returns the pitch column and the roll column out of k columns of modes, each of shape (T,); zeros for a missing mode."""
+        """Returns the columns of pitch and roll from k columns of modes, each of shape (T,); zeros for a missing mode."""
         modes = self.body.modes
         pitch, roll = (columns[:, modes.index(i)] if i in modes else np.zeros(len(columns)) for i in (1, 2))
         return pitch, roll

@@ -146,7 +146,7 @@ class Part(ABC):
         """
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of the own states, shape (..., n). Arguments are those of `pull`."""
+        """Returns the rates of the own states, shape (..., n). For the arguments, see `pull`."""
         return np.zeros((*np.shape(d), 0))
 
     def divisor(self, u: Array | float) -> Any:
@@ -185,14 +185,14 @@ class Part(ABC):
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the difference between force and linearisation, without inertance [N], shape (...).
 
-        Arguments are those of `pull`.
+        For the arguments, see `pull`.
         """
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the difference between the rates of the own states and their linearisation, shape (..., n).
 
-        Arguments are those of `pull`.
+        For the arguments, see `pull`.
         """
         return self.rate(d, v, z, u) - self.line.rate(d, v, z, u)
 

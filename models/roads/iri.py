@@ -2,7 +2,8 @@
 
 Source: M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile",
 Transportation Research Record 1501, 1-12; ASTM E1926. The golden car, a quarter-car with fixed parameters, drives at 80 km/h
-over the heights h_i of one track, sampled every `step`. The tyre of the golden car follows the moving average of the heights over 250 mm, so the slope is constant between samples:
+over the heights h_i of one track, sampled every `step`. The tyre of the golden car follows the moving average of the heights
+over 250 mm, so the slope is constant between samples:
 
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 

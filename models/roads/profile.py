@@ -210,7 +210,7 @@ class Profile(MeasuredRoad):
 
     @cached_property
     def _over_plane(self) -> dict[str, Array]:
-        """Heights of the points above the plane of the start [m], by side; heights that are only rounding errors are exactly 0."""
+        """Heights of the points above the plane of the start [m], by side; rounding errors are replaced by 0."""
         rounding = ROUNDING * np.abs(self.heights).max() * (1 + self._x / min(START, self._end))
         over = {}
         for side in ("", "left", "right"):
@@ -257,7 +257,7 @@ def check_points(
     Args:
         distance: distances of the points [m], shape (P,).
         heights: heights of the left and the right track [m], shape (P, 2).
-        where: function that returns the name of a point in messages, for its index.
+        where: function from the index of a point to its name in messages.
         smooth: True for a spline, which needs more points and must not have gaps.
 
     Raises:
@@ -276,7 +276,7 @@ def check_ascending(
         what: name of the road, for messages.
         x: distances or times of the points, shape (P,).
         heights: heights of the points [m], shape (P, K).
-        where: function that returns the name of a point in messages, for its index.
+        where: function from the index of a point to its name in messages.
         axis: name of the quantity `x`, for messages.
         unit: unit of `x`.
         smooth: True for a spline.

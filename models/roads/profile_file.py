@@ -1,5 +1,4 @@
-"""Measured roads from files: columns of distance and height with any separators, headings and units, or heights at a constant
-step.
+"""Measured roads from files: columns of distance and height in many formats, or heights at a constant step.
 
 ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use it to exchange profiles.
 An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
@@ -46,8 +45,8 @@ A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
 # Distance between points [m]; if a column of distance without a unit has a wider spacing, its unit is probably not m
 WIDEST = 20.0
 STEP_REFUSAL = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
-# Range of the slope of a column over the distance of the rows, in any units of length, in which the column is a distance. No
-# road has such a slope along its whole length.
+# Range of the slope of a column over the distance of the rows, in any units of length, in which the column is a distance. The
+# heights of a road do not rise like this along its whole length.
 LIKE_DISTANCE = (0.2, 5.0)
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")

@@ -552,7 +552,7 @@ class RoadInput:
 
     @property
     def has_held_inputs(self) -> bool:
-        """True if inputs other than road heights are held over time steps: loads, or road velocities that act through tyres with damping."""
+        """True if other inputs than road heights are held over time steps: loads, or road velocities if tyres have damping."""
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
@@ -642,12 +642,12 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """Inputs that act on the signals at the samples: loads at the samples, and held road velocities; same shape as `held_inputs`."""
+        """Inputs that act on the signals at the samples: present loads, and held road velocities; same shape as `held_inputs`."""
         return self.held_inputs if self.earlier else np.hstack([self.loads, self.held_inputs[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs that act on the measurements before new forces act: loads at the samples, and road velocities held until the samples."""
+        """Inputs that act on the measurements before new forces act: present loads, and road velocities held until the samples."""
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 

@@ -101,10 +101,9 @@ def chirp(omega: Array, period: float, speed: float) -> Multisine:
     """Returns sinusoids of equal velocity amplitude with Schroeder's phases: a periodic chirp with a low crest factor.
 
     Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With these phases, the group delay at a frequency is
-        proportional to the power below this frequency. The sinusoids therefore follow each other over the period. The phases
-        are phi_i =
-    -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same power p_l = 1/F. Equal velocity amplitudes give white velocity,
-    as on a road of ISO 8608 with w = 2.
+    proportional to the power below this frequency. The sinusoids therefore follow each other over the period. The phases are
+    phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same power p_l = 1/F. Equal velocity
+    amplitudes give white velocity, as on a road of ISO 8608 with w = 2.
 
     Args:
         omega: ascending angular frequencies [rad/s], multiples of 2 pi / period, shape (F,).

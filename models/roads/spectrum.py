@@ -68,8 +68,7 @@ def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
-    """Returns the complex amplitude of the road under every wheel if the road under the first wheel is exp(j omega t), shape
-    (F, r).
+    """Returns the road's complex amplitude under every wheel if the road under the first wheel is exp(j omega t), shape (F, r).
 
     Args:
         vehicle: vehicle with r wheels.

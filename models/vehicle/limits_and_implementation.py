@@ -270,7 +270,7 @@ class Implementation(Section):
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """Returns the implementation for signals that are multiplied by a factor; noise and resolution are multiplied by the same factor."""
+        """Returns the implementation for signals, noise and resolution that are all multiplied by a factor."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 

@@ -1,4 +1,4 @@
-"""Nonlinear suspension forces for simultaneous runs, which are the sums of the forces of all parts; and motion ratios of inputs."""
+"""Nonlinear suspension forces for simultaneous runs (sums of the forces of all parts), and motion ratios of inputs."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -102,7 +102,7 @@ class SuspensionForces:
         return rates
 
     def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
-        """Yields the groups of parts that are evaluated together, with their suspensions, own states and arguments of the force."""
+        """Yields parts that are evaluated together, with their suspensions, own states and arguments of the force."""
         for columns, own, kept, parts in self._stacks:
             states = None
             if z is not None and len(kept):

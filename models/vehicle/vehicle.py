@@ -647,7 +647,7 @@ class Vehicle(ShownResult):
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
-        """Returns sensor noise, actuator lag and loads for the design of a controller; built-in controllers have none of these."""
+        """Returns sensor noise, actuator lag and loads for the design of a controller; none of these for built-in controllers."""
         return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
