@@ -20,7 +20,8 @@ from models.common.units import unit_named, unit_size
 NAMES = ("velocity", "deflection", "force")
 QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-# Largest number of pairs with the same deflection or velocity; a list with more pairs is not a table of this type
+# Largest number of pairs of velocity and deflection in the grid, per row of the list; if more pairs are missing, the list is
+# not a table of this type
 PAIRS_PER_ROW = 4
 
 

@@ -26,7 +26,7 @@ from typing import IO, Any
 Answers = Callable[[Iterator[Any]], Iterator[Any]]  # generator function of a module: yields an answer for each message
 # Environment that limits BLAS to one thread, because additional threads would only wait
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
-GRACE = 0.5  # time for a child to finish after its parent has asked it to end [s]
+GRACE = 0.5  # time for a child to finish after its parent has ended or closed the pipe [s]
 
 
 class EndedError(Exception):

@@ -647,7 +647,7 @@ class RoadInput:
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs that act on the measurements before new forces act: present loads, and road velocities held until the samples."""
+        """Inputs that act on the measurements before new forces act: present loads, and road velocities before the samples."""
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 

@@ -92,7 +92,7 @@ class StateSpace:
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:
-        """Returns the state matrix of a cut loop when it is closed by u = factor y, for an array of factors, shape (..., n, n)."""
+        """Returns the state matrix of a cut loop that is closed by u = factor y, for an array of factors, shape (..., n, n)."""
         factor = np.asarray(factor)[..., None, None]
         if not np.any(self.D):
             return self.A + factor * (self.B @ self.C)
