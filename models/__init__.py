@@ -12,7 +12,7 @@ Start with `read_vehicle`, which reads a vehicle file or a built-in vehicle, and
 - measured signals from a log file: `read_measured_log`
 - errors: `InputError`, raised for any invalid input; its message is one line that gives the cause and the correction
 
-All other names may move without notice.
+All other names may be moved or renamed without notice.
 """
 
 from models.common.lazy import attach

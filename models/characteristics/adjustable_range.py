@@ -11,8 +11,8 @@ If a controller commands a control force u*, the valve sets the coefficient that
     c = clip(c_s - u* / v, c_min, c_max).
 
 If the damper has characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), where h is defined below.
-The coefficient is computed from the velocity at the controller's sample, and held until the next sample. If v is 0 and u* is
-not, v counts as slightly negative. If both are 0, the coefficient is the nominal one.
+The coefficient is computed from the velocity at the controller's sample, and held until the next sample. If v is 0 but u* is
+not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
 
 The limits can also be measured characteristics: the force over velocity at the softest setting, F_min, and at the firmest
 setting, F_max (`models.parts`). With the valve setting s from 0 to 1, the damper pulls with
@@ -66,7 +66,7 @@ class Envelope:
 
     @property
     def line(self) -> float:
-        """Slope of h at velocity 0: the smaller one of the slopes on its two sides."""
+        """Slope of h at velocity 0: the smaller one of the slopes on the two sides of 0."""
         rest = int(np.searchsorted(self.knots, 0.0))
         return float(self.shape.slopes[rest : rest + 2].min())
 

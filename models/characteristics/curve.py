@@ -9,8 +9,9 @@ line is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-There is a term for every segment whose slope is not s. Its argument is measured from the end of the segment that is closer to
-0. A straight characteristic has no terms. The sum is also valid for a characteristic that falls in some segments.
+There is a term for every segment whose slope is not s. The argument of the term is measured from that end of the segment which
+is closer to 0 than the other end. A straight characteristic has no terms. The sum is also valid for a characteristic that falls
+in some segments.
 """
 
 from collections.abc import Sequence
@@ -77,7 +78,7 @@ class ForceCurve:
         words: description of the characteristic, a phrase.
         at_rest: force of the table in equilibrium, which is not part of `force` [N].
         note: remark about the table of the file, a phrase.
-        whole: characteristic with all points of the table, if this one has fewer points.
+        whole: characteristic with all points of the table, if this object has fewer points.
         error: largest difference from `whole` [N].
     """
 
@@ -138,7 +139,7 @@ class ForceCurve:
 
     @cached_property
     def slopes(self) -> Array:
-        """Slopes of all segments, including the two extrapolated ones, shape (n + 1,)."""
+        """Slopes of all segments, including the two segments beyond the table, shape (n + 1,)."""
         within = np.diff(self.force) / np.diff(self.x)
         return np.concatenate([within[:1], within, within[-1:]])
 

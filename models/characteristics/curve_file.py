@@ -1,4 +1,4 @@
-"""Files with characteristics, which a vehicle file names in `file = "damper.csv"` or `stop = "bump.csv"`.
+"""Files with characteristics, to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
 
 When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. The
 files of control laws and families are handled in the same way. Tables in CSV, `.xlsx` or `.mat` files have a header with

@@ -154,7 +154,7 @@ class StopTableSection(CurveTable):
 
 
 class Preload(SI):
-    """The load that a table carries in equilibrium; `true` for the static load of the spring."""
+    """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns the load, or True or False."""
@@ -297,7 +297,7 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
 
 
 def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -> tuple[Array, Array, float]:
-    """Returns the points of one table relative to equilibrium, and its force in equilibrium.
+    """Returns the points of a single table relative to equilibrium, and the force of the table in equilibrium.
 
     Args:
         x: deflections or velocities of the table [m or m/s], shape (n,).

@@ -19,7 +19,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, read
 
-TRIALS = 12  # iterations of the search for a deflection; one iteration is exact where the ratio is constant
+TRIALS = 12  # iterations of the search for a deflection; for a constant ratio, one iteration is exact
 FARTHEST, HALVINGS = 1.0, 60  # range of the search for an equilibrium [m], and number of bisections
 COLUMNS = 41  # columns of a position-dependent damper; the error between columns is r' / 8 times the square of their distance
 PLACES = 9  # deflections of table points are rounded to this number of decimal places [m]
@@ -140,7 +140,7 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic. The largest force of such an element is the one at the ends of a given range."""
+    """Returns a straight characteristic. The largest force of an element is computed at the ends of a given range of travel."""
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
 

@@ -1,8 +1,8 @@
 """A damper's force over velocity v and deflection d, as a table with bilinear interpolation.
 
-Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities, the table continues with
-its last slopes. Beyond its deflections, it keeps its last column. The ratio r of damper travel to suspension travel is given at
-each deflection and interpolated linearly. The force in the direction of the suspension's deflection is
+Velocity and deflection are positive in extension, as in `models.characteristics.curve`. Beyond its velocities, the table
+continues with its last slopes. Beyond its deflections, it keeps its last column. The ratio r of damper travel to suspension
+travel is given at each deflection and interpolated linearly. The force in the direction of the suspension's deflection is
 
     F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
 
@@ -98,7 +98,8 @@ class ForceSurface(ForceCurve):
         u, d, slope = self.velocities, self.deflections, np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]
         slope = np.vstack([slope[:1], slope, slope[-1:]])
         first = np.concatenate([[0], np.arange(len(u))])  # index of the point relative to which each row of cells is defined
-        ends = np.stack([self.table[first] - slope * u[first, None], slope])  # a + c d and b + e d at the deflections
+        # Values of a + c d and b + e d at the deflections d
+        ends = np.stack([self.table[first] - slope * u[first, None], slope])
         return np.concatenate(_lines(d, ends))
 
     @cached_property

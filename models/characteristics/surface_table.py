@@ -18,7 +18,7 @@ from models.common.table import NumberTable, find_table
 from models.common.units import unit_named, unit_size
 
 NAMES = ("velocity", "deflection", "force")
-QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
+QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # pattern of a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
 # Largest number of pairs of velocity and deflection in the grid, per row of the list; if more pairs are missing, the list is
 # not a table of this type

@@ -1,6 +1,6 @@
 """The array type of all signatures, a check for matrices from users, and linear recursions.
 
-Docstrings give shapes and units. Entries are float64 unless a docstring says that they are complex.
+Docstrings give shapes and units. Entries are float64 unless a docstring describes them as complex.
 """
 
 import itertools
@@ -44,8 +44,8 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         expected: required shape as text, for messages; empty if any shape is allowed.
 
     Returns:
-        The matrix, and the magnitude of its largest entry. Callers need this number as well, and computing it takes as long as
-        the check.
+        The matrix, and the magnitude of its largest entry. The magnitude is returned because callers need it, and because
+        computing it takes as long as the check.
 
     Raises:
         InputError: the value is not such a matrix. The message gives the name of the argument.
@@ -80,7 +80,7 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
 
     A Python loop over all T samples would be slow. The samples are therefore divided into about sqrt(T) stretches of about
     sqrt(T) samples. The responses of all stretches from x = 0 are computed together. Then the effect of each stretch on the
-    following ones is added.
+    following stretches is added.
 
     Args:
         Phi: transition matrix of one sample, shape (n, n).

@@ -151,7 +151,7 @@ def check_arguments(function: F) -> F:
 def accept_former_names(**names: str) -> Callable[[F], F]:
     """Returns a decorator for a public function or dataclass that also accepts former names of arguments.
 
-    The attributes of such a dataclass can also be read by their former names.
+    The attributes of the dataclass can also be read by their former names.
 
     Args:
         names: the present name for each former name.

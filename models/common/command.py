@@ -86,7 +86,8 @@ class Parser(argparse.ArgumentParser):
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
-        if action is None or action.nargs == 0:  # the values belong to the command itself
+        # The option is unknown or has no value, so the values belong to the command itself
+        if action is None or action.nargs == 0:
             option, action = "", next(iter(self._get_positional_actions()), None)
         if action is None or len(values) < 2:
             usual = "--vehicle" if values[-1].endswith(".toml") else "" if "." in values[-1] else "--controller"
@@ -186,7 +187,9 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_printed(self, what: str, brief: str = "") -> None:
-        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`. A command line may contain only one of them.
+        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`.
+
+        A command line may contain only one of these options.
 
         Args:
             what: details that `--verbose` prints.
@@ -253,7 +256,7 @@ def chosen_of(
     For each vehicle, the result contains the selected controllers that this vehicle has.
 
     Args:
-        vehicles: names of all controllers of each vehicle, by a key of the vehicle.
+        vehicles: names of all controllers of each vehicle, by a key that identifies the vehicle.
         given: names on the command line, as in `chosen_controllers`.
         usual: default names, as in `chosen_controllers`.
 
@@ -372,7 +375,7 @@ def _page(text: str) -> str:
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example as lines that fit the width and can be copied as a whole."""
+    """Returns an example as lines that fit the width of the output, and that can be copied together."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 
@@ -394,7 +397,7 @@ def _path(text: str) -> Path:
 
 
 def _number_in(unit: str) -> Callable[[str], float]:
-    """Returns a function that reads a finite number, with or without a unit, and converts it to a given unit."""
+    """Returns a function that reads a finite number with or without a unit, and converts the number to a given unit."""
 
     def number(text: str) -> float:
         try:

@@ -1,4 +1,4 @@
-"""The error for invalid input. Every command turns it into a one-line message and exit code 2."""
+"""The error for invalid input. If this error is raised, a command prints a one-line message and returns the exit code 2."""
 
 import difflib
 import reprlib
@@ -78,5 +78,5 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """Returns the first few of many names, and the number of the others."""
+    """Returns the first few of many names, and how many other names there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

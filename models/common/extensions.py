@@ -12,7 +12,7 @@ from models.common.lazy import resolve_name
 
 
 class Registry(dict[str, str]):
-    """Extensions of one type by name. The value of each name is "module:attribute" or the name of a module.
+    """Extensions of one type, by their names. The value of each name is "module:attribute" or the name of a module.
 
     Columns, sections and messages appear in the order of the names.
 

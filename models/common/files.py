@@ -2,8 +2,8 @@
 
 A file is written under a temporary name and then renamed, so no program ever reads an incomplete file.
 
-If the path is a link, its target is replaced. The new file has the permissions of the old file. A pipe, a device or standard
-output receives the content when it is complete.
+If the path is a link, its target is replaced. The new file has the same permissions as the old file. A pipe, a device or
+standard output receives the content when it is complete.
 """
 
 import hashlib
@@ -65,7 +65,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: purpose of the file, for the message.
+        what: purpose of the file, for the error message.
         instead: advice for the message if the file cannot be written.
 
     Raises:

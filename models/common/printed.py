@@ -196,7 +196,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]
 
 
 def title_lines(title: str, source: str) -> list[str]:
-    """Returns a title and, on the next line, the path of its source."""
+    """Returns a title and, on the next line, the path of the file that it describes."""
     return [title, Whole(f"{GAP}{source}")]
 
 
@@ -206,7 +206,7 @@ def wrap_text(text: str, start: str = "", hang: int | None = None) -> list[str]:
     Args:
         text: the text; its leading spaces are kept.
         start: prefix of the first line.
-        hang: number of spaces before the other lines; by default, two more than before the first line.
+        hang: number of spaces before the second and further lines; by default, two more than before the first line.
     """
     if isinstance(text, Whole):
         return [start + text]

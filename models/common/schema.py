@@ -7,9 +7,9 @@ A section is a frozen dataclass; the annotation of each field gives unit, range 
         mass: Annotated[float, SI("kg", "point mass on the body", high=1e5)]
         x: Annotated[float, SI("m", "position of the mass, forward", -20.0, 20.0)] = 0.0
 
-This declaration determines the reader of the section and the messages for invalid input (`read`). The declaration also
-determines the record of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema
-(`json_schema`). `models.common.checks` uses the same annotations for public functions.
+The declaration determines how the section is read, and the messages for invalid input (`read`). The declaration also determines
+the record of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`).
+`models.common.checks` uses the same annotations for public functions.
 """
 
 import functools
@@ -61,7 +61,7 @@ class Key:
             context: facts about the vehicle (see `read`), and the values of the keys that are declared before this key.
 
         Raises:
-            InputError: the value is not allowed. Its message contains `HERE` instead of section and key.
+            InputError: the value is not allowed. The message of this error contains `HERE` instead of section and key.
         """
         raise NotImplementedError
 
@@ -70,7 +70,8 @@ class Key:
 class SI(Key):
     """A number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an invalid value.
 
-    Infinity is allowed if it is the largest value. This annotation can also be a condition of `models.common.checks`.
+    Infinity is allowed if it is the largest value. Like `Must`, this annotation can also be a condition for
+    `models.common.checks`.
     """
 
     unit: str = "1"
@@ -213,7 +214,7 @@ class ListedValues(Key):
 
 @dataclass(frozen=True)
 class AnyTable(Key):
-    """A table whose keys are names. Its values are read later, when more information is available."""
+    """A table whose keys are names. The values of the table are read later, when more information is available."""
 
     schema: ClassVar[Mapping[str, Any]] = {"type": "object"}
     meaning: str = ""
@@ -409,7 +410,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
         where: name of the section, for messages.
         section: dataclass of the section.
         text: the text.
-        names: the allowed names; by default, those of all keys.
+        names: the allowed names; by default, the names of all keys.
 
     Raises:
         InputError: the text has another form, or a name or value is not allowed.

@@ -32,8 +32,10 @@ from models.common.units import unit_size
 # Separators of cells, the least ambiguous one first
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}
 COMMENT = re.compile(r"\s*(#|%|!|//)")
-THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000 with a decimal comma, or a number of thousands
-SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the preceding word
+# Ambiguous number: between 1 and 1000 with a decimal comma, or an integer with a thousands separator
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+# Pattern of a cell; a unit in brackets belongs to the preceding word
+SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
 LONGEST_UNIT = 3  # most characters of a word that counts as an unknown unit
@@ -132,7 +134,7 @@ class NumberTable:
         """Returns the numbers of columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
-            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last one, are
+            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
                 ignored.
             ragged: True if numbers may follow the last column.
             gaps: True if cells may be missing, as in `MISSING`; they become NaN.
@@ -224,8 +226,8 @@ def table_text(path: Path) -> str:
     (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP, .mcap), the text contains the channels.
 
     Raises:
-        InputError: the package for spreadsheets is not installed, or the file is too large. Also raised if several sheets
-            contain a table, or if a MATLAB or Parquet file contains no table.
+        InputError: the package for spreadsheets is not installed, or the file is too large. The error is also raised if several
+            sheets contain a table, or if a MATLAB or Parquet file contains no table.
     """
     suffix = path.suffix.lower()
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:

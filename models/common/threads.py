@@ -54,7 +54,7 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # pieces taken per thread: one is running, one is waiting
+AHEAD = 2  # number of pieces that are taken per thread: one is running, and one is waiting
 
 Result = TypeVar("Result")
 Piece = Callable[[Callable[[], bool]], Result]  # the argument of a piece returns True if the work is to be abandoned

@@ -46,7 +46,7 @@ PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u0
 # Units with prefixes; the gram is not among them, because g is the acceleration
 PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")
 COMMA = re.compile(r"\s*[+-]?\d*,\d")
-QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
+QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # pattern of a number with its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
 TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # products of units, as in N-s/m or kg.m2

@@ -136,17 +136,17 @@ class Document:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """All statements, including those of inner documents."""
+        """All statements, including the statements of inner documents."""
         return tuple(block for block in self.all() if isinstance(block, Statement))
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """All tables, including those of inner documents."""
+        """All tables, including the tables of inner documents."""
         return tuple(block for block in self.all() if isinstance(block, Table))
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """All figures, including those of inner documents."""
+        """All figures, including the figures of inner documents."""
         return tuple(block for block in self.all() if not isinstance(block, Statement | Table | Document))
 
     @property

@@ -27,8 +27,8 @@ class Style(NamedTuple):
     marker: Marker
 
 
-# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can distinguish. The light colours are
-# darker here, for a contrast of 3 on white. Dash patterns are those of the paper.
+# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can distinguish. The light colours
+# are darker here, for a contrast of 3 on white. The dash patterns are the same as in the paper.
 BLACK, BLUE, VERMILLION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"
 PURPLE, ORANGE, SKY, GREY = "#c471a0", "#bd8200", "#3d97cc", "#6e6e6e"
 STYLES: dict[str, Style] = {
@@ -240,7 +240,7 @@ class Entry(NamedTuple):
 def legend(figure: Figure) -> list[Entry]:
     """Returns one legend entry per label.
 
-    The classes of a panel precede its curves; line and points of one label share an entry.
+    The classes of a panel come before its curves. A line and points with the same label share an entry.
     """
     entries: dict[str, Entry] = {}
     for panel in figure.panels:

@@ -47,7 +47,7 @@ class Page:
     Attributes:
         title: title of the page.
         summary: the first part: figures and tables, without a title.
-        sections: the other parts, in order.
+        sections: the parts after the summary, in order.
         headline: the answer in one line.
         verdicts: text of the verdict for each state.
         sketch: sketch of the vehicle at the top; None for a page without a sketch.

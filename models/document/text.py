@@ -110,7 +110,7 @@ def _align_column(column: Sequence[str]) -> list[str]:
 
 
 def _heading(text: str, most: int) -> list[str]:
-    """Returns a heading in at most `most` lines, as narrow as possible. Its unit is not broken."""
+    """Returns a heading in at most `most` lines, as narrow as possible. The unit in the heading is not broken."""
     glued = text.replace("] ", f"]{GLUE}")
     broken = (textwrap.wrap(glued, width, break_long_words=False, break_on_hyphens=False) for width in range(1, len(text) + 1))
     return [line.replace(GLUE, " ") for line in next(lines for lines in broken if len(lines) <= most)]
@@ -153,7 +153,7 @@ class ShownResult:
         page = FEATURES.load("pages")
         try:
             page.check_page()
-        except InputError:  # the notebook then shows the text
+        except InputError:  # if the HTML cannot be created, the notebook shows the text
             return None
         document = self.summary
         return page.fragment(replace(document, blocks=(*document.blocks, *self.figures)))

@@ -120,7 +120,10 @@ class Car:
         combined: Mapping[str, Mapping[str, float]] | None = None,
         lacking: Mapping[str, str] | None = None,
     ) -> VehicleKind:
-        """Returns the vehicle type. `check` refuses an impossible body; the other arguments are those of `VehicleKind`."""
+        """Returns the vehicle type.
+
+        The argument `check` is a function that refuses an impossible body; for the other arguments, see `VehicleKind`.
+        """
         sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
         rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
         return VehicleKind(

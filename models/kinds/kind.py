@@ -71,7 +71,7 @@ class Parameter(CheckedFields):
         largest: largest allowed value.
         usual: default value; None for a parameter without a default.
         smallest: smallest allowed value; None means 0 or, if `positive` is True, the smallest positive value.
-        optional: True if a vehicle file may omit the parameter. Without the parameter, the vehicle differs from one with any
+        optional: True if a vehicle file may omit the parameter. A vehicle without the parameter differs from a vehicle with any
             value of the parameter.
     """
 
@@ -118,7 +118,7 @@ def is_number(value: Any) -> bool:
 
 HERE = Path(__file__).parent.parent  # folder of the built-in vehicle types
 GRAVITY = 9.81  # gravitational acceleration [m/s2], which is written into every MJCF
-MOST_SQUEEZE = 0.25  # largest allowed static tyre deflection [m]; real tyres have smaller ones
+MOST_SQUEEZE = 0.25  # largest allowed static tyre deflection [m]; real tyres have smaller deflections
 # Smallest height of a hub above the road in equilibrium [m]. This height is larger than MOST_SQUEEZE, because a tyre deflection
 # may exceed MOST_SQUEEZE before a time step ends.
 LOWEST_HUB = 0.26
@@ -313,19 +313,19 @@ class VehicleKind(CheckedFields):
         suspended: suspensions of the type. None means: there is one suspension for each signal `suspension_deflection...`. Its
             tendon `suspension...` and, if it exists, its force `control_force...` have the same suffix.
         invariants: transmissibilities that no suspension force can change.
-        on_demand: signals that a vehicle has only if its file names them. These signals are outputs and sensors like the
-            others, but take no computing time if the file does not name them.
+        on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
+            signals, but take no computing time if the file does not name them.
         loads: external loads on the body, in the order of the linear model's loads. If the vehicle has loads on its wheels, the
             linear model contains them after these loads.
         wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
             file describes them.
         carried: function that returns the loads that suspension links and wheel inertia add to the moment of a force on the
-            body. Its arguments are the parameters, the direction, the force [N] and the acceleration of the wheels [m/s2]. The
-            direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
+            body. The arguments of this function are the parameters, the direction, the force [N] and the acceleration of the
+            wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
         angles: function of the parameters: angles of the body relative to level ground [rad] as sums of signals. The result has
             the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
-        motion: function of the parameters: exact equations of motion, independent of the MJCF. None if the type has no exact
-            equations; MuJoCo is then compared only with the linear model.
+        motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
+            has no exact equations; MuJoCo is then compared only with the linear model.
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
             Empty unless the type belongs to a vehicle with such ratios.

@@ -3,8 +3,8 @@
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
 with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). Br and
-Cr are zero in the paper, and for every body that can follow all motions of the wheels. Then only the road velocity acts. For a
-vehicle with four wheels, the warp of the road acts as a displacement.
+Cr are zero in the paper, and for every body that can follow all motions of the wheels. In these cases, only the road velocity
+acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a displacement.
 
 The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how the road velocity changes deflections, independent
 of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres with damping. Dw describes the
@@ -157,7 +157,7 @@ class LinearModel:
     def has_rate(self, output: str) -> bool:
         """Returns True if the time derivative of an output signal is a function of state, road height and forces.
 
-        This requires that neither a force nor the road velocity acts directly on the signal.
+        The result is True if neither a force nor the road velocity acts directly on the signal.
         """
         i = self.outputs.index(output)
         return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))

@@ -96,7 +96,7 @@ NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]  # names of the quant
 
 
 def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
-    """Returns one warning for each rule that finds improbable quantities, about the first place at which it finds them.
+    """Returns a warning for each rule that finds improbable quantities, about the first place at which they are found.
 
     Args:
         places: the known quantities at each place, by the names that the rules use.

@@ -1,9 +1,9 @@
 """Rigid body on several corners: the equations that half-cars and full cars have in common. A half-car lacks pitch or roll.
 
-The axes are those of ISO 8855: x forward, y to the left, z up. Pitch is positive nose down, roll is positive right side down.
-The modes of the body are heave z, pitch theta and roll phi, q = (z, theta, phi), which are assumed to be small. The height of
-the body above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In the notation of the paper's (28), with the suspension
-force f_i upward on the body,
+The axes are defined as in ISO 8855: x forward, y to the left, z up. Pitch is positive if the nose moves down, and roll is
+positive if the right side moves down. The modes of the body are heave z, pitch theta and roll phi, q = (z, theta, phi), which
+are assumed to be small. The height of the body above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In the notation of
+the paper's (28), with the suspension force f_i upward on the body,
 
     d = S q - z_u,     t = z_u - z_r,     f = -K_s d - C_s d' + u,
     M q'' = S' f + l,      m_u z_u'' = -f - K_u t,
@@ -11,9 +11,10 @@ force f_i upward on the body,
 where d and t are the deflections of suspensions and tyres, and l contains the loads on the body, a force and moments. The state
 consists of relative displacements and velocities: x = (d, P t, q', z_u').
 
-An anti-roll bar is a torsion spring between body and axle. Its angle is the roll angle of the body relative to the axle, a =
-(d_left - d_right) / track. Its moment k a acts as a pair of forces at the two wheels. Without anti-roll bars, K_s is diagonal.
-Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2, where e_l and e_r are the unit vectors of its two corners.
+An anti-roll bar is a torsion spring between body and axle. The angle of the bar is the roll angle of the body relative to the
+axle, a = (d_left - d_right) / track. The moment k a of the bar acts as a pair of forces at the two wheels. Without anti-roll
+bars, K_s is diagonal. Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2, where e_l and e_r are the unit vectors of its two
+corners.
 
 A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then n' (d +
 t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the vehicle. The state

@@ -62,7 +62,7 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
     """Reads `[seat]`.
 
     Returns:
-        The vehicle type with a seat, and the parameters including those of the seat.
+        The vehicle type with a seat, and the parameters including the parameters of the seat.
 
     Raises:
         InputError: a key or value is not allowed, or the vehicle type cannot have a seat.
@@ -100,7 +100,7 @@ def seated_kind(kind: VehicleKind) -> VehicleKind:
         write_mjcf=partial(_write_mjcf, kind.write_mjcf),
         motion=kind.motion and partial(_motion, kind.motion),
         people=(SEAT_ACCELERATION.name,),
-        invariants=(),  # the invariants hold only for vehicles without further masses
+        invariants=(),  # the invariants of the vehicle type hold only for vehicles without additional masses
     )
 
 

@@ -5,8 +5,8 @@ A suspension is a spring that is preloaded with the static load. Without a sprin
 A strut without a spring is purely active (Thompson 1976, Hrovat 1997). Its actuator then applies the static load and the force
 u of the equations. The limits and the lag in `[limits]` apply only to u.
 
-A tyre is a spring that can push but not pull. Its damping acts only while the tyre touches the road. A tyre with damping pushes
-its hub upward with
+A tyre is a spring that can push but not pull. The damping of a tyre acts only while the tyre touches the road. A tyre with
+damping pushes its hub upward with
 
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 

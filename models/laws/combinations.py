@@ -187,7 +187,7 @@ def _with_partners(part: str, beside: str, written: str) -> str:
 
     Args:
         part: the part.
-        beside: the other part.
+        beside: the part that the alternatives replace.
         written: the part as written in the section.
     """
     if {part, beside} <= KINDS.keys():

@@ -140,15 +140,16 @@ class StructureSection(Goals):
             K[range(m), range(part, 3 * m, 3)] = gains or 0.0
         law = side_by_side(pid_filter(PID, pid.filter or 1.0), m)
         C, D = K @ law.C, K @ law.D
-        kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of each other
+        # States without effect can be removed, because the states are independent of each other
+        kept = np.flatnonzero(np.any(C != 0, axis=0))
         return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
 
 
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
     """Returns the numbers of a PI or PID law for each force, as in `pid` of a vehicle file; empty for any other law.
 
-    Its states are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered signals. The input
-    gains are 1 and 1 / filter.
+    The states of this law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
+    signals. The input gains are 1 and 1 / filter.
     """
     rates = -np.diag(law.A)
     signals, forces = np.nonzero(law.B), np.nonzero(law.C.T)

@@ -145,7 +145,7 @@ class LinearLaw(LawSource):
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:
-        """Returns the factor that converts the states of `sampled(period)` to those of this law.
+        """Returns the factor that converts the states of `sampled(period)` to the states of this law.
 
         Args:
             period: sample period [s]; None for the states of `continuous()`.

@@ -97,7 +97,8 @@ class RoadPreview:
         return weights
 
     def difference(self, other: "RoadPreview") -> float:
-        """Returns the largest difference between the weights of two previews, relative to the largest weight of the other one.
+        """Returns the largest difference between the weights of two previews, relative to the largest weight of the other
+        preview.
 
         The difference is infinite if the preview times or shapes differ.
         """

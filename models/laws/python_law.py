@@ -175,7 +175,7 @@ class PythonController(ControlLaw):
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
             if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
                 return int(computer.attrib["delay"])
-        return 0  # the first step refuses a file that is not an FMU
+        return 0  # a file that is not an FMU is refused at the first step
 
     def preview_samples(self, period: float) -> int:
         """See `ControlLaw`."""
@@ -208,7 +208,9 @@ def is_driver(given: object) -> bool:
 
 
 def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
-    """Returns the controller of a function or driver. Its attributes `measured` and `preview` [s] are as in a vehicle file.
+    """Returns the controller of a function or driver.
+
+    The function may have the attributes `measured` and `preview` [s], with the same meaning as in a vehicle file.
 
     Args:
         function: the function or driver.

@@ -183,7 +183,7 @@ def anew(function: Any) -> Any:
 
 
 class LawRuns:
-    """Runs of one controller. Each run executes its law; runs of a vectorised law share one execution.
+    """Runs of one controller. Every run executes the law separately, but runs of a vectorised law share one execution.
 
     Attributes:
         vectorised: True if one call computes all runs.

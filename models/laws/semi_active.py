@@ -114,8 +114,8 @@ def acceleration_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, ac
 def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Quantity) -> Quantity:
     """PDD: spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
 
-    The damper is soft if its soft setting already dissipates the power that the spring releases. It is hard if even its hard
-    setting does not dissipate this power. Otherwise, the damper dissipates exactly this power. At zero velocity with a
+    The damper is soft if its soft setting already dissipates the power that the spring releases. The damper is hard if even its
+    hard setting does not dissipate this power. Otherwise, the damper dissipates exactly this power. At zero velocity with a
     deflected spring, the coefficient is the mean of both limits.
     """
     v = body - wheel

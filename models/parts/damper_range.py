@@ -28,7 +28,8 @@ class CoefficientRange:
         elements: elements whose voltage is set. The limits, the nominal value and the coefficient of these elements are
             voltages [V].
         deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
-            the softest setting. Each deviation has P segments, shape (N, m, P). None if all characteristics are straight.
+            the softest setting. Each deviation has P segments, shape (N, m, P). The value is None if all characteristics are
+            straight.
     """
 
     low: Array
@@ -110,7 +111,7 @@ class CoefficientRange:
         return _with(beyond * self._velocity(closing, which), pushes)
 
     def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the settings, relative to the nominal ones, at which the forces are closest to requested forces [N].
+        """Returns the settings, relative to the nominal settings, at which the forces are closest to requested forces [N].
 
         The shape is (..., N, m).
         """

@@ -1,6 +1,7 @@
 """`[parts.NAME]` of a vehicle file: a force element in parallel with the suspension's own spring and damper.
 
-Each registered part that is also a section of a vehicle file can be such an element. Its fields are the keys of the section.
+Each registered part that is also declared as a section of a vehicle file can be a force element. The fields of the part are the
+keys of the section.
 """
 
 from collections.abc import Collection, Mapping, Sequence

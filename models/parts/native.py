@@ -1,9 +1,9 @@
 """Parts as MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
 
-One actuator represents one straight segment of a characteristic. The control of this actuator is zero. Its bias is affine in
-length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were minus the bias's slope
-over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The suspension's own spring and damper stay
-and give the linearised force. The actuators of the segments add the deviation from this force.
+One actuator represents one straight segment of a characteristic. The control of this actuator is zero. The bias of the actuator
+is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were minus the
+bias's slope over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The suspension's own spring and
+damper stay and give the linearised force. The actuators of the segments add the deviation from this force.
 
 A part that MuJoCo's own elements cannot represent gets a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """

@@ -115,8 +115,8 @@ class Limit:
 class Part(ABC):
     """Force along a suspension.
 
-    A part is a frozen dataclass. Its numbers may be arrays of shape (N,), for N simultaneous runs (`Stack`). Deflections,
-    velocities and forces have any shape (...). Arrays of own states have an additional last axis.
+    A part is a frozen dataclass. The numbers of a part may be arrays of shape (N,), for N simultaneous runs (`Stack`).
+    Deflections, velocities and forces have any shape (...). Arrays of own states have an additional last axis.
     """
 
     # Signals of the own states, which are 0 in equilibrium; in a vehicle, their names also contain element and corner
@@ -235,7 +235,7 @@ class Part(ABC):
     def curve(self) -> "ForceCurve | None":
         """Characteristic of the force over its only argument, at `POINTS` points up to `reach`.
 
-        None if the force has several arguments, or if `reach` is infinite.
+        The value is None if the force has several arguments, or if `reach` is infinite.
         """
         if self.argument is None or not np.isfinite(self.reach):
             return None
@@ -345,13 +345,13 @@ class SuspensionPart:
 
     @property
     def curve(self) -> "ForceCurve":
-        """The characteristic of a part that has one."""
+        """The characteristic of the part, which must exist."""
         assert self.part.curve is not None, "a part with a curve"
         return self.part.curve
 
     @property
     def surface(self) -> "ForceSurface | None":
-        """The characteristic of a damper over velocity and deflection; None if it has only one argument."""
+        """The characteristic of a damper over velocity and deflection; None if the force has only one argument."""
 
         curve: Any = self.part.curve
         return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None
@@ -368,7 +368,7 @@ def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signa
 
 @dataclass(frozen=True)
 class SettablePart(Part):
-    """Damper whose coefficient a valve sets. Its input is the coefficient minus the nominal coefficient [N s/m].
+    """Damper whose coefficient a valve sets. The input of the damper is the coefficient minus the nominal coefficient [N s/m].
 
     The control force that the damper replaces is defined relative to the force of the nominal damper. Numbers, forces and
     velocities are those of the damper itself, before the motion ratio. Only the methods of `Part` use forces and velocities at
@@ -470,7 +470,7 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Linearisation of another part, as a part. Its own states have the same signals as those of the other part."""
+    """Linearisation of another part, as a part. The signals of its states are the same as for the other part."""
 
     at_rest: Line
     own: "tuple[Signal, ...]" = ()

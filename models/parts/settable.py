@@ -8,7 +8,8 @@ This voltage brings the change of the force
     -(F(d, v, z, u) - F(d, v, z, 0))
 
 as close as possible to u*, for the motion and the states at the sample. The voltage is held until the next sample of the
-controller. If several voltages give the same force, the element receives the one closest to the voltage without a command.
+controller. If several voltages give the same force, the element receives the voltage that is closest to the voltage without a
+command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +33,7 @@ SPEED = 1.0  # velocity [m/s] at which a damping coefficient is computed to repr
 class ElementDamper(Damper):
     """Element of `[parts]` as a semi-active damper.
 
-    Its limits are the damping coefficients at 1 m/s, for 0 V and for the largest voltage.
+    The limits of this damper are the damping coefficients at 1 m/s, for 0 V and for the largest voltage.
 
     Attributes:
         name: name of the element's section.

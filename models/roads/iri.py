@@ -200,7 +200,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
     The list is empty if the road is too short, if the points of a profile are too far apart, or for a rig.
 
     Args:
-        road: the road; a profile ends with its last point.
+        road: the road; a measured profile ends at its last point.
         vehicle: the vehicle, whose track width determines the tracks.
         distance: driven distance [m].
     """

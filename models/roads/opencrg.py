@@ -118,7 +118,10 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
 
 
 def _reason(error: Exception, path: Path) -> str:
-    """Returns the message of PyOpenCRG on one line. Its first line may be empty, followed by a list of errors."""
+    """Returns the message of PyOpenCRG on one line.
+
+    The first line of the message may be empty, and followed by a list of errors.
+    """
     report = getattr(error, "report", None)
     if report is not None:
         return first_few([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])

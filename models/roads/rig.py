@@ -98,7 +98,7 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as a CSV file with exact numbers: time [s], heights [m]."""
+        """All points as the text of a CSV file with exact numbers: time [s], heights [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 

@@ -117,7 +117,7 @@ class ControllerEntry:
     def parts(self) -> dict[str, str]:
         """The source and the options of the controller, with keys and values as in a vehicle file.
 
-        Each of them is a row in the table of compatible options.
+        Each of these is a row in the table of options that can be combined.
         """
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:

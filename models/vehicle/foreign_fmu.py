@@ -2,8 +2,8 @@
 
 A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
 and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
-`outputs` assign signals to them. At each sample, the FMU does a step to the next sample. Its outputs are the forces that are
-held over this period.
+`outputs` assign signals to them. At each sample, the FMU does a step to the next sample. The outputs of this step are the
+forces that are held until the next sample.
 """
 
 import hashlib
@@ -149,7 +149,7 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         unit = one.unit or (one.declaredType and one.declaredType.unit)
         signal = next(
             (known for known in KNOWN_SIGNALS if f"{name}_".startswith(f"{known.name}_")), None
-        )  # the name may end with a corner
+        )  # the name of a variable may end with the name of a corner
         if unit and signal and _plain(unit) != signal.unit:
             raise InputError(f"{one.name} of the FMU has the unit {short_repr(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces

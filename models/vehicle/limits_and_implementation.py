@@ -266,7 +266,10 @@ class Implementation(Section):
 
     @property
     def without_noise(self) -> "Implementation":
-        """The implementation without noise and quantisation. It is linear, so it has a frequency response."""
+        """The implementation without noise and quantisation.
+
+        Without them, the implementation is linear, and so has a frequency response.
+        """
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 GIVE = "give the MuJoCo model of the vehicle type"
-# Prefix of actuators that a vehicle file adds to the model. They come after the actuators of the MJCF, which are the inputs
+# Prefix of actuators that a vehicle file adds to the model. These actuators come after the actuators of the MJCF, which are the
+# inputs
 FITTED_PREFIX = "fitted_"
 SAME = 1e-9  # relative rounding error of a parameter that the code of a vehicle type has written
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors that MuJoCo raises for an invalid model

@@ -249,7 +249,7 @@ class Vehicle(ShownResult):
             parameters: values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
 
         Returns:
-            A copy of the vehicle with these parameters.
+            A copy of the vehicle with the new parameters.
 
         Raises:
             InputError: a parameter is unknown or not allowed, or the combination of parameters is not a valid vehicle.

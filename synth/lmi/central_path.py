@@ -97,8 +97,8 @@ class CentralPoint:
         Args:
             states: present unit of each state, expressed in the new unit, shape (n,).
             inputs: present unit of each input, expressed in the new unit, shape (m,).
-            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). This can also be a
-                matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
+            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). The argument can also be
+                a matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof

@@ -158,8 +158,8 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     Disturbances are considered at zero and infinite frequency, and outputs at infinite frequency. For a discrete plant, the
     bound is 0.
 
-    Other zeros on the imaginary axis are not used, because floats cannot represent them. Zeros that are only close to the axis
-    do not give a bound.
+    Other zeros on the imaginary axis are not used, because floating-point numbers cannot represent them exactly. Zeros that are
+    only close to the axis do not give a bound.
     """
     if plant.dt is not None:
         return LowerBound(0.0)

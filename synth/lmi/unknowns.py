@@ -95,7 +95,8 @@ class Basis:
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     """Returns row and column indices in [X; Y] of all unknowns except eta.
 
-    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. Then come the unknowns of Y_R, row by row.
+    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R are after them, also row
+    by row.
     """
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks

@@ -194,7 +194,10 @@ class Plant:
         return static_law(K).fed_back(self.Dyu).D
 
     def on_readings(self, G: Array) -> Array:
-        """Returns the gain on the measurements with the same effect as G on C_y x + Dyw w. This is the inverse of `acting`."""
+        """Returns the gain on the measurements with the same effect as G on C_y x + Dyw w.
+
+        This method is the inverse of `acting`.
+        """
         return static_law(G).fed_back(-self.Dyu).D
 
     @property
@@ -382,7 +385,7 @@ def law_gain(law: LinearLaw) -> Array:
 
 
 def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
-    """Returns the law from its static gain [D, C; B, A]. This is the inverse of `law_gain`."""
+    """Returns the law from its static gain [D, C; B, A]. This function is the inverse of `law_gain`."""
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
 
 

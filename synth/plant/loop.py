@@ -158,11 +158,11 @@ class Loop:
 
     @cached_property
     def open_loop(self) -> StateSpace:
-        """Open loop, cut at all forces. Its inputs are the forces and the disturbances.
+        """Open loop, cut at all forces.
 
-        Its outputs are the outputs of the plant, the states of the law, and the forces that the law requests. In discrete time,
-        the force inputs are the forces computed at a sample. Disturbances are then held over the sample period, and the outputs
-        have their values just after the sample.
+        The inputs of the open loop are the forces and the disturbances. The outputs are the outputs of the plant, the states of
+        the law, and the forces that the law requests. In discrete time, the force inputs are the forces computed at a sample.
+        Disturbances are then held over the sample period, and the outputs have their values just after the sample.
         """
         plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
@@ -314,8 +314,8 @@ def _by_step(
     """Returns the harmonic response in every step of the sample period, relative to exp(j omega t).
 
     Returns:
-        The plant from forces and given disturbances to the outputs. Its states and the acting forces in each step. The
-        amplitudes of the disturbances.
+        The plant from forces and given disturbances to the outputs. The states of this plant and the acting forces in each
+        step. The amplitudes of the disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)

@@ -16,7 +16,10 @@ class DesignError(InputError):
 
 
 class InfeasibleError(DesignError):
-    """Proof that no controller of the requested kind stabilises the plant. The message gives the mode or another reason."""
+    """Proof that no controller of the requested kind stabilises the plant.
+
+    The message names the mode that cannot be stabilised, or gives another reason.
+    """
 
 
 class NoSolutionError(DesignError):

@@ -16,7 +16,7 @@ TOGETHER = 1e-4  # weight of the equations for a common unit of all disturbances
 # Smaller eigenvalues of the normal equations, relative to the largest one, belong to undetermined units All others exceed 1e-8.
 OPEN = 1e-11
 FINEST = 2.0**-20  # resolution of an exponent of two; coarser than rounding, so that equal units stay equal in powers of two
-ALIKE = 1e-6  # relative difference below which two units count as equally undetermined
+ALIKE = 1e-6  # two units count as equally undetermined if the relative difference is below this value
 UPWARDS = 0.53  # offset for rounding exponents; not 0.5, so that a unit half-way between two powers of two is not ambiguous
 DEPENDENT = 1e-10  # smallest singular value of rows of length 1 for which the rows count as independent
 

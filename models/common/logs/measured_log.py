@@ -1,7 +1,7 @@
 """Measured logs: columns over time whose names are signal names, from any table of numbers (`models.common.table`).
 
 A heading may contain the words of a signal name in any case and order: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection
-[mm]`. Cells may be empty, and the sample rate may vary.
+[mm]`. Cells of the log may be empty, and the sample rate may vary.
 """
 
 import re

@@ -1,9 +1,9 @@
 """Bump stops in `[limits]` of a vehicle file: linear or progressive, equal or different on both sides, per corner or axle.
 
 A stop touches when the suspension has travelled its stroke. A stop that is compressed by x pushes back with the force x (k_1 +
-k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. One number is the stiffness of a linear stop. A list
-of up to three numbers describes a progressive stop, and a table gives the force at each point. The form {bump, rebound} gives a
-value for each side; an omitted side has no stop.
+k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. A single number is the stiffness of a linear stop. A
+list of up to three numbers describes a progressive stop, and a table gives the force at each point. The form {bump, rebound}
+gives a value for each side; an omitted side has no stop.
 
 If the file gives a stroke for a side, the argument of the table is the compression of the stop. Otherwise the argument is the
 compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions, if the table
