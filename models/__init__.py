@@ -12,12 +12,12 @@ Start with `read_vehicle`, which reads a vehicle file or a built-in vehicle, and
 - measured signals from a log file: `read_measured_log`
 - errors: `InputError`, raised for any invalid input; its message is one line that gives the cause and the correction
 
-All other names may move without notice.
+All other names may be moved or renamed without notice.
 """
 
 from models.common.lazy import attach
 
-USUAL_TIMESTEP = 1e-3  # default timestep of runs [s], and so the default sample period of controllers
+USUAL_TIMESTEP = 1e-3  # default timestep of runs [s]; also the default sample period of controllers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # imports for type checkers and editors

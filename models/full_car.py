@@ -1,8 +1,8 @@
 """Full car: heave, pitch and roll of a body on four wheels. The equations are in `kinds/rigid_body.py`.
 
-Its fourteen states contain three modes of the tyre deflections, those that a rigid body can follow, instead of four tyre
-deflections. The fourth mode, warp, follows from the suspension deflections and the warp of the road. If the axles have
-different track widths, only the warp mode changes.
+Instead of four tyre deflections, the fourteen states contain the three modes of the tyre deflections that a rigid body can
+follow. The fourth mode, warp, follows from the suspension deflections and the warp of the road. If the axles have different
+track widths, only the warp mode changes.
 """
 
 import numpy as np
@@ -17,7 +17,8 @@ AXLES = rigid_body.AXLES
 SIDES = ("left", "right")
 CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in SIDES)
 
-# Modes of four wheels (front left, front right, rear left, rear right). Signs are those of the body: nose down, right side down.
+# Modes of four wheels (front left, front right, rear left, rear right). Signs are the same as for the body: positive is nose
+# down and right side down.
 MODES = {
     "heave": np.array([1.0, 1.0, 1.0, 1.0]) / 4,
     "pitch": np.array([-1.0, -1.0, 1.0, 1.0]) / 4,

@@ -55,7 +55,7 @@ def linear_model(p: Parameters) -> LinearModel:
         p: parameters by name [SI].
 
     Returns:
-        The model: 4 states (30), 1 input [N], 1 disturbance (road velocity) [m/s], 9 output signals.
+        The model with 4 states (30), 1 input [N], 1 disturbance (the road velocity) [m/s] and 9 output signals.
     """
     m_s, m_u = p["sprung_mass"], p["unsprung_mass"]
     k_s, c_s = p["suspension_stiffness"], p["suspension_damping"]
@@ -76,7 +76,7 @@ def linear_model(p: Parameters) -> LinearModel:
         A[3, 3] -= c_u / m_u
         Bw = Bw + Bt
 
-    # Signals: the four states, then z_s'' by the first equation of (28), then u itself, then z_u'' by the second equation.
+    # The rows are the four states, z_s'' from the first equation of (28), the input u, and z_u'' from the second equation.
     # Heights are sums of deflections and the road height.
     C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3], [1, 1, 0, 0], [0, 1, 0, 0]])
     D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3], np.zeros((2, 1))])
@@ -136,7 +136,7 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
 
 
 def motion(p: Parameters) -> "Motion":
-    """Returns the equations of motion, in which the tyre pushes and never pulls: a body on one strut that only heaves."""
+    """Returns the equations of motion of a body that only heaves on one strut; the tyre can push but not pull."""
     from models.kinds.rigid_body import Corner, RigidBody
     from models.kinds.rigid_motion import rigid_motion
 
@@ -175,7 +175,7 @@ def whole_ratio(p: Parameters) -> float:
     return (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"]
 
 
-# These follow from m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which does not contain the suspension force.
+# The invariants follow from m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which does not contain the suspension force.
 INVARIANTS = (
     Invariant(
         name="z_s/z_r",

@@ -2,7 +2,7 @@
 
 The coefficient c of a semi-active damper is between c_min and c_max, and a valve sets it. The damper gives the force -c v,
 where v is the velocity at which its suspension extends. The linear model (28) contains the nominal coefficient c_s. The control
-force is relative to the nominal damper:
+force is the deviation from the force of the nominal damper:
 
     u = -(c - c_s) v.
 
@@ -10,18 +10,18 @@ If a controller commands a control force u*, the valve sets the coefficient that
 
     c = clip(c_s - u* / v, c_min, c_max).
 
-With characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), see below. The coefficient is computed
-from the velocity at the controller's sample, and held until the next sample. If v is 0 and u* is not, v counts as slightly
-negative. If both are 0, the coefficient is the nominal one.
+If the damper has characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), where h is defined below.
+The coefficient is computed from the velocity at the controller's sample, and held until the next sample. If v is 0 but u* is
+not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
 
-Such a damper may be measured: its force over velocity at the softest and at the firmest setting, F_min and F_max
-(`models.parts`). With the valve setting s from 0 to 1, the damper pulls with
+The limits can also be measured characteristics: the force over velocity at the softest setting, F_min, and at the firmest
+setting, F_max (`models.parts`). With the valve setting s from 0 to 1, the damper pulls with
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
-where c_min and c_max are the slopes of F_min and F_max at v = 0. The coefficient at v = 0, c = c_min + s (c_max - c_min),
-identifies a setting. The function h is a velocity with slope 1 at v = 0. It is nonlinear like the characteristics; for straight
-ones, h = v and F = c v.
+where c_min and c_max are the slopes of F_min and F_max at v = 0. A setting is identified by its coefficient at v = 0, c = c_min
++ s (c_max - c_min). The function h is a velocity with slope 1 at v = 0. The function is as nonlinear as the characteristics. If
+they are straight, h = v and F = c v.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 
-TOUCHING_DISTANCE = 1e-9  # distance at which two characteristics touch, relative to the largest force
+TOUCHING_DISTANCE = 1e-9  # two characteristics touch if their distance is below this, relative to the largest force
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Envelope:
 
     @cached_property
     def knots(self) -> Array:
-        """Points of both characteristics [m/s], shape (n,)."""
+        """Velocities of the points of both characteristics [m/s], shape (n,)."""
         return np.unique(np.concatenate([self.soft.x, self.hard.x]))
 
     @cached_property
@@ -66,13 +66,13 @@ class Envelope:
 
     @property
     def line(self) -> float:
-        """Slope of h at velocity 0, the smaller of the slopes on both sides."""
+        """Slope of h at velocity 0: the smaller one of the slopes on the two sides of 0."""
         rest = int(np.searchsorted(self.knots, 0.0))
         return float(self.shape.slopes[rest : rest + 2].min())
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Deviation of h from a straight line, as ramps: knot [m/s], increase of the slope beyond it, and side (1 or -1).
+        """Deviation of h from a straight line, as ramps: knot [m/s], increase of the slope beyond the knot, and side (1 or -1).
 
         A ramp that begins at 0 never has a negative increase, because MuJoCo would interpret the bias of its actuator as a
         damping ratio.
@@ -139,12 +139,12 @@ class Damper:
     """Semi-active damper.
 
     Attributes:
-        c_min: smallest coefficient [N s/m]; for characteristics, the one at velocity 0.
-        c_max: largest coefficient [N s/m]; for characteristics, the one at velocity 0.
-        bandwidth: corner frequency of the valve, a first-order lag from the set to the actual coefficient [rad/s]; None for a
+        c_min: smallest coefficient [N s/m]; for a damper with characteristics, the slope of `soft` at velocity 0.
+        c_max: largest coefficient [N s/m]; for a damper with characteristics, the slope of `hard` at velocity 0.
+        bandwidth: corner frequency of the valve's first-order lag between commanded and actual coefficient [rad/s]; None for a
             valve without lag.
         pair: characteristics of the damper; None if they are straight lines.
-        replaces: True if it replaces the suspension's own damper.
+        replaces: True if the semi-active damper replaces the suspension's own damper.
     """
 
     replaces: ClassVar[bool] = True
@@ -225,12 +225,12 @@ class ActuatorSection(Section):
 
 
 def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
-    """Reads `[actuators]` and returns the semi-active dampers, by the force that each replaces.
+    """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
         section: keys for all dampers, and sections for single dampers, named by the suffix of their force.
-        corners: suffix of each force, with its underscore, by force.
-        limited: keys of `[limits]` that limit force actuators.
+        corners: suffix of the name of each control force, including the underscore, by force.
+        limited: keys in `[limits]` of the file that limit force actuators.
 
     Raises:
         InputError: a key is unknown, a value is not allowed, or `[limits]` limits force actuators.

@@ -1,16 +1,17 @@
-"""A damper's force over velocity, or a spring's force over deflection, as a piecewise linear characteristic.
+"""Piecewise linear characteristics: a damper's force over velocity, or a spring's force over deflection.
 
-Both arguments are positive if the suspension extends. A force is positive if it pulls body and wheel together, so a damper
-dissipates energy if force and velocity have the same sign. Beyond its last points, a characteristic continues with its last
-slope.
+Velocity and deflection are positive if the suspension extends. A force is positive if it pulls body and wheel together, so a
+damper dissipates energy if force and velocity have the same sign. Beyond its last points, a characteristic continues with its
+last slope.
 
 Linear analysis uses the slope s at 0; at a kink, it uses the mean slope of both sides. The deviation of the force F from this
 line is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-There is a term for every segment whose slope is not s, measured from the end of the segment that is closer to 0. A straight
-characteristic has no terms. The sum is also valid for a characteristic that falls in some segments.
+There is a term for every segment whose slope is not s. The argument of the term is measured from that end of the segment which
+is closer to 0 than the other end. A straight characteristic has no terms. The sum is also valid for a characteristic that falls
+in some segments.
 """
 
 from collections.abc import Sequence
@@ -24,12 +25,12 @@ from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest
 from models.common.arrays import Array
 from models.common.errors import InputError
 
-STRAIGHT = 1e-12  # relative to the steepest slope; a smaller difference of two slopes is a rounding error
+STRAIGHT = 1e-12  # smaller differences between slopes, relative to the steepest slope, are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Segments of the deviation of a characteristic from its line: P segments, or P for each of several, shape (..., P).
+    """Segments of a characteristic's deviation from its straight line: P segments for each characteristic, shape (..., P).
 
     Attributes:
         slope: a [N per unit of the argument], shape (..., P).
@@ -45,7 +46,7 @@ class Pieces:
 
     def force(self, x: Array) -> Array:
         """Returns the sum of the segments at given arguments [N], shape (...)."""
-        # This runs in each stage of a step. NumPy's `clip` and `sum` take twice as long.
+        # This code runs in each stage of a time step. NumPy's `clip` and `sum` take twice as long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
 
     def __getitem__(self, which: Array | slice) -> "Pieces":
@@ -73,11 +74,11 @@ class ForceCurve:
     Attributes:
         x: points [m/s or m], ascending, including 0 between the first and the last point, shape (n,).
         force: forces at the points [N], 0 at x = 0, shape (n,).
-        slope: slope of the line in linear analysis [N s/m or N/m].
+        slope: slope of the straight line that linear analysis uses [N s/m or N/m].
         words: description of the characteristic, a phrase.
         at_rest: force of the table in equilibrium, which is not part of `force` [N].
-        note: remark about the table, a phrase.
-        whole: characteristic with all points of the table, if this one has fewer points.
+        note: remark about the table of the file, a phrase.
+        whole: characteristic with all points of the table, if this object has fewer points.
         error: largest difference from `whole` [N].
     """
 
@@ -92,7 +93,7 @@ class ForceCurve:
 
     @staticmethod
     def together(curves: "Sequence[ForceCurve]", shape: tuple[int, ...]) -> "StackedCurves":
-        """Returns several characteristics that are evaluated together, for arguments of shape (..., *shape)."""
+        """Combines several characteristics into an object that evaluates all of them at arguments of shape (..., *shape)."""
         return StackedCurves(
             Pieces.stacked([one.pieces for one in curves], shape), np.reshape([one.slope for one in curves], shape)
         )
@@ -110,7 +111,7 @@ class ForceCurve:
         return replace(self, force=factor * self.force, slope=factor * self.slope, whole=whole, error=factor * self.error)
 
     def at_wheel(self, ratio: float) -> "ForceCurve":
-        """Returns the characteristic of the force at the wheel, r F(r x), for an element with the motion ratio r."""
+        """Returns the characteristic at the wheel, r F(r x), of an element with motion ratio r and force F."""
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
     def about_load(self, more: float) -> "ForceCurve":
@@ -141,7 +142,7 @@ class ForceCurve:
 
     @cached_property
     def slopes(self) -> Array:
-        """Slopes of all segments, including the two extrapolated ones, shape (n + 1,)."""
+        """Slopes of all segments, including the two segments beyond the table, shape (n + 1,)."""
         within = np.diff(self.force) / np.diff(self.x)
         return np.concatenate([within[:1], within, within[-1:]])
 
@@ -158,7 +159,7 @@ class ForceCurve:
 
     @cached_property
     def is_nonlinear(self) -> bool:
-        """True if the characteristic differs from its line."""
+        """True if the characteristic differs from its straight line in linear analysis."""
         return len(self.pieces.slope) > 0
 
     @property
@@ -167,7 +168,7 @@ class ForceCurve:
         return float(self.slopes.min()), float(self.slopes.max())
 
     def work(self, x: Array) -> Array:
-        """Returns the integral from 0 to given arguments of the deviation from the line, shape (...)."""
+        """Returns the integral of the deviation from the straight line, from 0 to each of the given arguments, shape (...)."""
         edges = np.concatenate([[-np.inf], self.x, [np.inf]])
         knots, x = self.pieces.force(self.x), np.asarray(x)
         to_knots = np.concatenate([[0.0], np.cumsum((knots[1:] + knots[:-1]) / 2 * np.diff(self.x))])
@@ -177,19 +178,19 @@ class ForceCurve:
 
     @cached_property
     def range(self) -> float:
-        """Magnitude of the largest force of the points [N]."""
+        """Largest magnitude of the force at the points [N]."""
         return float(np.abs(self.force).max())
 
     @cached_property
     def departures_at(self) -> tuple[float, float]:
         """Arguments below and above 0 at which the deviation from the line first reaches `LEAVES` times the largest force.
 
-        Infinite if the deviation never reaches this limit.
+        The values are infinite if the deviation never reaches this limit.
         """
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]
-            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # far outside any range of motion
+            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # an argument far outside any range of motion
             x = np.append(self.x[points], side * beyond)
             apart = self.pieces.force(x)
             hit = np.flatnonzero(np.abs(apart) >= limit)
@@ -208,7 +209,7 @@ class StackedCurves:
 
     Attributes:
         pieces: segments of each characteristic, shape (..., P).
-        slope: slope of the line of each characteristic, shape (...).
+        slope: slope of each characteristic in linear analysis, shape (...).
     """
 
     pieces: Pieces
@@ -220,7 +221,7 @@ class StackedCurves:
 
 
 def slope_at_rest(x: Array, force: Array) -> float:
-    """Returns the mean of the slopes on both sides of 0, from the points of a characteristic."""
+    """Returns the slope at 0 from the points of a characteristic: the mean of the slopes on the two sides of 0."""
     i = int(np.searchsorted(x, 0.0))
     slopes = np.diff(force[i - 1 : i + 2]) / np.diff(x[i - 1 : i + 2])
     return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())

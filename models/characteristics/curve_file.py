@@ -1,9 +1,10 @@
-"""Files with characteristics, `file = "damper.csv"` or `stop = "bump.csv"`. Their tables replace the names in a vehicle file.
+"""Files with characteristics, to which a vehicle file refers by `file = "damper.csv"` or `stop = "bump.csv"`.
 
-After a vehicle file is read, it therefore needs no other files; the same applies to control laws and families. Tables in CSV,
-`.xlsx` or `.mat` files have a header with quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property
-files (`.dpr`) of Adams/Car have the TeimOrbit format. It consists of blocks in brackets, tables below a row of names in braces,
-and comments after `$` or `!`. The units are in `[UNITS]`, the table is in `[CURVE]`. Sources: MSC Software, Adams Tire help,
+When a vehicle file is read, the tables in these files replace the file names, so later steps need only the vehicle file. The
+files of control laws and families are handled in the same way. Tables in CSV, `.xlsx` or `.mat` files have a header with
+quantity and unit of each column: `velocity [mm/s], force [kN]`. Damper property files (`.dpr`) of Adams/Car have the TeimOrbit
+format. A file in this format consists of blocks in brackets, tables below a row of names in braces, and comments after `$` or
+`!`. The block `[UNITS]` contains the units, and the block `[CURVE]` contains the table. Sources: MSC Software, Adams Tire help,
 "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ.
 """
 
@@ -31,16 +32,16 @@ from models.common.units import QUANTITY, unit_size
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"
 ARGUMENTS = ("velocity", "deflection")
-# Words of headings with a sign that is positive in extension
+# Words in headings of quantities that are positive in extension
 SIGN_HEADINGS = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}
-ROLES = {  # words of headings, by quantity
+ROLES = {  # words in headings, by quantity
     "force": {"force", "load", "kraft", "effort"},
     "velocity": {*SIGN_HEADINGS["velocity"], "speed"} - {"v"},
     "deflection": {"deflection", "displacement"},
     "time": {"time", "t", "timestamp", "zeit", "temps"},
 }
 LOG = ("time", "deflection", "force")  # columns of a dynamometer log, from which the velocity is computed
-GAS = 0.02  # relative to the largest force; smaller differences at velocity 0 are not caused by gas
+GAS = 0.02  # smaller forces at velocity 0, relative to the largest force, are not caused by gas
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
 HEAD = re.compile(r"\{(.*?)\}")
 
@@ -72,7 +73,7 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
 
 
 def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields the entries of characteristics, dampers and stops that contain file names, each with its path."""
+    """Yields those entries of characteristics, dampers and stops that contain file names, each with its path."""
     for section in ("curves", "actuators"):
         yield from _entries_with_files(data.get(section), (section,))
     limits = data.get("limits")
@@ -88,7 +89,7 @@ def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) 
 
     Args:
         entry: entry of the vehicle file.
-        path: path of the entry.
+        path: keys that lead to the entry.
         texts: True if a text is a file name, unless it is a number with a unit.
     """
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
@@ -114,7 +115,7 @@ def _without_file(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _argument(path: tuple[str, ...]) -> str:
-    """Returns the argument of an entry's force, or "ratio"; empty for a parameter with a custom name."""
+    """Returns the argument of the force in an entry, or "ratio" for a motion ratio; empty for a parameter with a custom name."""
     if path[0] == "limits":
         return "compression"
     if path[0] == "actuators" or "damping" in path[-1]:
@@ -145,12 +146,12 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
 
 
 def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
-    """Returns a table in SI units, positive in extension; for a stop, over its compression and positive in compression.
+    """Returns a table in SI units. Values are positive in extension, but values of a stop are positive in compression.
 
-    The words of the headings determine the signs. The data sheet of a damper dynamometer has speeds, and forces in compression
+    The words in the headings determine the signs. The data sheet of a damper dynamometer has speeds, and forces in compression
     and in
-    rebound: F(v) is the rebound force at v, and F(-v) is minus the compression force. Points that go back and forth are a
-    measured loop.
+    rebound: for a speed v, F(v) is the rebound force, and F(-v) is minus the compression force. A table whose argument goes
+        back and forth is a measured loop.
 
     Args:
         text: content of the file.
@@ -162,7 +163,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     by_role: dict[str, list[Heading]] = defaultdict(list)
     for heading in headings:
         by_role[_role(heading)].append(heading)
-    for role in ROLES:  # excludes, for example, the voltage of a force sensor
+    for role in ROLES:  # a unit of another dimension excludes a column, for example the voltage of a force sensor
         by_role[role] = [one for one in by_role[role] if unit_size(one.unit, QUANTITIES[role].si)] or by_role[role]
     wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
     known, forces = by_role[wanted], by_role["force"]
@@ -207,8 +208,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True)) | _note(notes)
     if undirected and not log and numbers.min() < 0:
         raise question
-    # The compression of a stop may have other words in its heading, as in "rebound stop compression". It is also meant if the
-    # heading gives no direction.
+    # The compression of a stop may have other words in its heading, as in "rebound stop compression". A heading without a
+    # direction also means compression.
     named = -1 if over == "compression" and (undirected or "compression" in used[0].words) else used[0].direction
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
     x, force = towards * x, (named or used[1].direction or 1) * values[0]
@@ -219,7 +220,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
             x, force, said = loop
             notes += [*about, said]
     order = np.argsort(x, kind="stable")
-    if (np.diff(x) <= 0).all() or (np.diff(force[order]) >= 0).all():  # a part of a loop is neither
+    # In a part of a loop, neither argument nor force is monotonic
+    if (np.diff(x) <= 0).all() or (np.diff(force[order]) >= 0).all():
         x, force = x[order], force[order]
     different = np.append(True, (np.diff(x) != 0) | (np.diff(force) != 0))
     x, force = x[different], force[different]
@@ -238,8 +240,8 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
     Args:
         velocity: velocities [m/s], shape (n,).
         force: forces [N], shape (n,).
-        motion: heading of velocity or displacement.
-        load: heading of force.
+        motion: heading of the column with velocity or displacement.
+        load: heading of the column with force.
 
     Raises:
         InputError: the headings give both directions, but the damper would supply energy.
@@ -271,7 +273,7 @@ def _of_ratio(text: str) -> dict[str, Any]:
 
 
 def _role(heading: Heading) -> str:
-    """Returns the quantity of a column from its words or its unit, a key of `ROLES`; empty for other quantities."""
+    """Returns the quantity of a column, a key of `ROLES`, from its heading's words or unit; empty for other quantities."""
     for role, words in ROLES.items():
         if heading.words & words:
             return role
@@ -285,7 +287,7 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
         raise InputError("has a speed below 0; give speeds of 0 or more, with the forces in compression and in rebound")
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
-    pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # both signs are common
+    pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # data sheets use both signs
     gas = np.where(v == 0, np.abs(pushing - pulling) > GAS * pulling.max(), np.minimum(pushing, pulling) < 0)
     for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
@@ -298,7 +300,7 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
 
 
 def _dpr_columns(text: str) -> str:
-    """Returns the table of a damper property file with headings, and with the line numbers of the file."""
+    """Returns the table of a damper property file with headings, and the number of each row's line in the file."""
     text = re.sub(r"[$!].*", "", text)
     # Number of lines before each block
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}

@@ -1,16 +1,17 @@
-"""Approximation of characteristics that have many points, by fewer straight segments.
+"""Approximation of a characteristic that has many points by fewer straight segments.
 
 The algorithm is that of H. Imai and M. Iri (1986), An optimal algorithm for approximating a piecewise linear function, J. Inf.
-Process. 9, 159-162. The ends of the segments are points of the characteristic. Both functions are straight between points, so
-the largest error is at a point. The segments next to 0 have the slopes of the characteristic's own points, which linear
-analysis uses.
+Process. 9, 159-162. The ends of the segments are points of the characteristic. The characteristic and its approximation are
+straight between points, so the largest error is at a point. The segments next to 0 have the slopes of the characteristic's own
+points, which linear analysis uses.
 """
 
 import numpy as np
 
 from models.common.arrays import Array
 
-NOISE = 4 / 2.4  # four standard deviations, relative to the third quartile of normal noise in the deviations of `slopes_at_rest`
+# Limit of four standard deviations, relative to the third quartile of the deviations in `slopes_at_rest`, for normal noise
+NOISE = 4 / 2.4
 
 
 def point_indices(x: Array, force: Array, error: float) -> Array:
@@ -33,7 +34,7 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point for which a straight line from the first point is within the error at every point between."""
+    """Returns the last point to which a straight line stays within the allowed error at all points in between."""
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # Every point in between limits the slope of a line from above and below.
     steepest = np.minimum.accumulate((rise + error) / run)
@@ -70,8 +71,8 @@ def slopes_at_rest(x: Array, force: Array, error: float) -> tuple[float, float]:
     """Returns the slopes of a table below and above 0.
 
     Without noise, these are the slopes of the segments at 0. Noise is the deviation of the points from smooth curves through
-    their neighbours. With noise, the slope is that of the longest least-squares line through 0 from which no point deviates by
-    more than the noise.
+    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest one from which no point
+    deviates by more than the noise.
 
     Args:
         x: points of the table, ascending, shape (n,).

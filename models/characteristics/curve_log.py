@@ -2,7 +2,8 @@
 
 The displacement is differentiated by the filter of A. Savitzky and M. Golay, which has no delay. Its 3 dB cut-off frequency is
 given by R. W. Schafer (2011), What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine 28, 111-117, eq. (12). For a
-damper, the mean of force times velocity over full cycles is above 0. This determines the relative sign of force and velocity.
+damper, the mean of force times velocity over full cycles is above 0. The sign of this mean therefore shows whether the log
+gives force and velocity with the same sign.
 """
 
 import numpy as np
@@ -12,11 +13,11 @@ from models.common.errors import InputError
 from models.common.printed import rough
 
 CYCLES = 10  # number of cycles at the end of a log that are used
-STROKE = 0.5  # relative to the range of displacement; smaller strokes do not end a cycle
+STROKE = 0.5  # smaller strokes, relative to the range of displacement, do not end a cycle
 # Cut-off frequency of the filter relative to the frequency of the cycles, and order of its polynomials
 HARMONICS, ORDER = 12.0, 3
 LEAST_SIDE = 3  # smallest number of samples on both sides of the filter's centre
-NEARLY = 0.05  # share of a cycle that may be missing in a full cycle
+NEARLY = 0.05  # a cycle counts as full if at most this share of it is missing
 SAMPLES = 25.0  # smallest number of samples per cycle
 GAP = 10.0  # longest step relative to the mean step
 LEAST_CORRELATION = 0.05  # smallest correlation of force and velocity
@@ -65,7 +66,7 @@ def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, 
 
 
 def dissipation(velocity: Array, force: Array) -> float:
-    """Returns the mean power that a damper dissipates without its mean force [W].
+    """Returns the mean power that a damper dissipates, after subtracting its mean force [W].
 
     The power is above 0 if force and velocity have the same sign.
 

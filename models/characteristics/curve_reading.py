@@ -19,7 +19,8 @@ from models.common.schema import HERE, SI, ListedValues, Section, Text, read
 
 FRICTION_ERROR = 0.02  # largest error of the straight segments, relative to the friction force
 FRICTION_ENDS = 3.0  # velocity relative to v0 above which the friction is constant
-FRICTION_POINTS = 601  # points of the smooth function, of which the segments use some; the error between two points is 1e-5
+# Points of the smooth function, some of which become ends of segments; the error between two points is 1e-5
+FRICTION_POINTS = 601
 
 
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
@@ -32,7 +33,7 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
         velocity: v0 [m/s].
 
     Returns:
-        Velocities [m/s] and forces [N], shapes (k,).
+        Velocities [m/s] and forces [N] of the points, shapes (k,).
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
@@ -43,28 +44,31 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
 
 
 MOST_POINTS = 20_000  # points of a table
-MOST_LINES = 24  # segments of a characteristic without friction; each is an actuator that adds 2 % to a quarter-car's time step
-AT_REST = 2  # additional segments of an approximation, which keep the slopes of the table at 0
-# Errors of an approximation relative to the largest force, if a table has more segments than that. The first error with few
-# enough segments is used.
+# Most segments of a characteristic without friction; each is a MuJoCo actuator that adds 2 % to the time of a quarter-car's
+# step
+MOST_LINES = 24
+AT_REST = 2  # number of additional segments in an approximation, which keep the table's slopes at 0
+# Allowed errors of an approximation, relative to the largest force, for a table with more segments than `MOST_LINES`. The first
+# error that gives few enough segments is used.
 ERRORS = (0.005, 0.01, 0.02)
 ROUNDING = 1e-9  # relative to a range
 CLOSEST = 1e-9  # smallest distance between points, relative to the range; closer points would be dominated by rounding errors
-SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; smaller values are probably mistakes
-LEAST_PULL = 0.01  # relative to a spring's largest pull; if a table carries less, its signs are probably reversed
-MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # N/m or N s/m; relative to the largest force
+# Smallest range of the argument [m or m/s] and smallest force [N]; smaller values are probably mistakes
+SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6
+LEAST_PULL = 0.01  # smallest load relative to a spring's largest pull; if a table carries less, its signs are probably reversed
+MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # largest slope [N/m or N s/m]; largest error relative to the largest force
 FRICTION = ("friction", "friction_velocity")
 ALONE = "is not allowed: a position-dependent damper cannot be combined with friction or other elements; give it alone"
 
 
 @dataclass(frozen=True)
 class Argument(ListedValues):
-    """Argument of a characteristic, given as a list of ascending values.
+    """Argument of a characteristic, which a file gives as a list of ascending values.
 
     Attributes:
         name: key of the argument.
-        largest: largest allowed value; larger values probably have another unit.
-        small: the unit that larger values probably have.
+        largest: largest allowed value; a larger value probably has a wrong unit.
+        small: the unit in which larger values are probably given.
         slope: SI unit of force over the argument.
     """
 
@@ -123,7 +127,7 @@ class TableSection(Section):
 
     @property
     def points(self) -> tuple[Array, Array]:
-        """Argument and values, shapes (n,), positive in extension."""
+        """Argument and values of the table, shapes (n,), positive in extension."""
         x, values = (np.array(getattr(self, name)) for name in (*self.arguments, self.of) if getattr(self, name) is not None)
         return (x, values) if getattr(self, "compression", None) is None else (-x[::-1], -values[::-1])
 
@@ -152,7 +156,7 @@ class StopTableSection(CurveTable):
 
 
 class Preload(SI):
-    """The load that a table carries in equilibrium; `true` for the static load of the spring."""
+    """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns the load, or True or False."""
@@ -255,7 +259,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
             tables.append(read(where, DamperTable if over is VELOCITY else SpringTable, one))
         else:
             slopes.append(SI(over.slope, low=0.0, high=MOST_SLOPE).number(f"{where} a slope", one))
-    # This table comes last, because it carries the load that the other tables leave
+    # The table with `preload = true` comes last, because it carries the part of the load that the other tables do not carry
     tables.sort(key=lambda one: one.preload is True)
     with error_in(f"{where}:"):
         return _sum(slopes, tables, over, load)
@@ -297,14 +301,14 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
 
 
 def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -> tuple[Array, Array, float]:
-    """Returns the points of one table relative to equilibrium, and its force in equilibrium.
+    """Returns the points of a single table relative to equilibrium, and the force of the table in equilibrium.
 
     Args:
         x: deflections or velocities of the table [m or m/s], shape (n,).
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
         preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at 0 of the table.
-        alone: False if the table is one of several, and so may be a stop on one side of equilibrium.
+        alone: False if the table is one of several; it may then be a stop that acts only on one side of equilibrium.
     """
     if preload:
         x = x - _deflection_under_load(x, force, preload)
@@ -352,9 +356,9 @@ def _check_both_sides(x: Array, over: Argument) -> None:
 
 
 def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, float]:
-    """Returns points that include the equilibrium, forces relative to that in equilibrium, and the force in equilibrium.
+    """Returns points that include the equilibrium, their forces relative to equilibrium, and the force in equilibrium.
 
-    The force in equilibrium is the weight that a spring carries; it must be 0 for a damper.
+    For a spring, the force in equilibrium is the weight that it carries. For a damper, it must be 0.
     """
     x = np.where(np.abs(x) < CLOSEST * (x[-1] - x[0]), 0.0, x)
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
@@ -385,7 +389,7 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
         fit_error: largest error relative to the largest force; None for the default.
 
     Returns:
-        Argument and force of the remaining points, shapes (k,), and a description.
+        Argument and force of the remaining points, shapes (k,), and a description of the approximation.
     """
     largest = float(np.abs(force).max())
     indices = point_indices(x, force, ROUNDING * largest / 1e3)

@@ -1,13 +1,13 @@
-"""Mean characteristic of a measured loop, from the points of a test that moves a damper, spring or stop back and forth.
+"""Mean characteristic of a measured loop: the points of a test that moves a damper, spring or stop back and forth.
 
 In such a test, the force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
 or to the branch on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and the
-hysteresis is half of their difference. Because of noise, the force of the mean may fall in places. It is then replaced by the
-closest function, in the least-squares sense, that does not fall (isotonic regression).
+hysteresis is half of their difference. Because of noise, the mean force may fall in places. The mean is then replaced by the
+non-decreasing function that is closest in the least-squares sense (isotonic regression).
 
 With play or friction, a damper's slope at velocity 0 differs from the coefficient of the linear damper that dissipates the same
-energy in the test. This coefficient is the sum of F v divided by the sum of v^2, for samples at a constant rate. The note of
-the characteristic contains both values.
+energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F is the
+force and v the velocity. The note of the characteristic contains both the slope and the coefficient.
 """
 
 import numpy as np
@@ -16,12 +16,12 @@ from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import rough
 
-# Texts in the note about a loop; the second one only for dampers
+# Texts in the note about a loop; the second text is only for dampers
 LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
-TURN = 0.1  # relative to the range; a smaller reversal is noise
-OVERLAP = 0.5  # relative to the range; branches that overlap less are not a loop
+TURN = 0.1  # smaller reversals, relative to the range, are noise
+OVERLAP = 0.5  # branches that overlap less than this, relative to the range, are not a loop
 BINS = 200  # number of bins in each branch
-ROUNDING = 1e-9  # relative to the largest force
+ROUNDING = 1e-9  # relative rounding error, which is relative to the largest force
 
 
 def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Array, Array, str] | None:
@@ -31,11 +31,11 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
         x: argument in the order of the measurement, shape (n,).
         force: force [N], shape (n,).
         unit: unit of the argument.
-        at_rest: True to subtract the force of the mean at 0, which the gas of a damper causes.
+        at_rest: True to subtract the mean force at 0, which is caused by the gas in a damper.
 
     Returns:
-        Argument (ascending) and force of the mean, shapes (k,), and a phrase. The phrase gives the largest hysteresis, the
-        subtracted force and, for a damper, the coefficient that dissipates the same energy.
+        Argument (ascending) and force of the mean, shapes (k,), and a phrase for the note. The phrase gives the largest
+        hysteresis, the subtracted force and, for a damper, the coefficient that dissipates the same energy.
     """
     from scipy.optimize import isotonic_regression
     from scipy.signal import find_peaks

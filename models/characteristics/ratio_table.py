@@ -1,7 +1,7 @@
 """Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, with linear interpolation.
 
-Beyond the points of the table, the ratio is constant. The travel D between an element's own ends is the integral of r from
-equilibrium. `models.parts.ratio` has the forces of an element at a motion ratio.
+Beyond the points of the table, the ratio is constant. The travel D between an element's own ends is the integral of r over d
+from equilibrium. `models.parts.ratio` computes the forces of an element with a motion ratio.
 """
 
 from collections.abc import Callable
@@ -19,10 +19,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, read
 
-TRIALS = 12  # iterations of the search for a deflection; one iteration is exact where the ratio is constant
-FARTHEST, HALVINGS = 1.0, 60  # m, range of the search for an equilibrium; number of bisections
-COLUMNS = 41  # columns of a position-dependent damper; the error between columns is the square of their distance, times r' / 8
-PLACES = 9  # decimal places of a deflection [m] at which tables have a point
+TRIALS = 12  # iterations of the search for a deflection; for a constant ratio, one iteration is exact
+FARTHEST, HALVINGS = 1.0, 60  # range of the search for an equilibrium [m], and number of bisections
+COLUMNS = 41  # columns of a position-dependent damper; the error between columns is r' / 8 times the square of their distance
+PLACES = 9  # deflections of table points are rounded to this number of decimal places [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class RatioTable:
 
     Attributes:
         x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
-        ratio: r at these deflections, shape (n,).
+        ratio: motion ratio r at these deflections, shape (n,).
         straight: True to use the linearised springs and dampers of linear analysis instead of the table.
     """
 
@@ -40,7 +40,7 @@ class RatioTable:
     straight: bool = False
 
     def __call__(self, deflection: Array) -> Array:
-        """Returns r at deflections [m], shape (...)."""
+        """Returns the ratio r at deflections [m], shape (...)."""
         return np.interp(deflection, self.x, self.ratio)
 
     @cached_property
@@ -50,7 +50,7 @@ class RatioTable:
 
     @cached_property
     def relative_slope(self) -> float:
-        """r'(0) / r(0) [1/m], with the mean slope of both sides."""
+        """Relative slope r'(0) / r(0) [1/m], where r'(0) is the mean of the slopes on both sides."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
         return slope_at_rest(x, self(x)) / self.at_rest
@@ -91,9 +91,7 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Segments of the table and its constant ends: start, travel there, ratio there, and slope of the ratio, shape
-        (4, n + 1).
-        """
+        """Segments of the table and its ends: start, travel and ratio at the start, and slope of the ratio, shape (4, n + 1)."""
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
         rest = int(np.searchsorted(x, 0.0, side="right")) - 1
@@ -102,18 +100,21 @@ class RatioTable:
         return np.stack([x[first], at[first], r[first], slope])
 
     def ratio_and_travel(self, deflection: Array) -> tuple[Array, Array]:
-        """Returns r, and D [m], at deflections [m], shapes (...)."""
+        """Returns the ratio r and the travel D [m] at deflections [m], shapes (...)."""
         start, travel, ratio, slope = self._segments[:, self.x.searchsorted(deflection)]
         s = deflection - start
         turned = slope * s
         return ratio + turned, travel + s * (ratio + turned / 2)
 
     def slope(self, deflection: Array) -> Array:
-        """Returns r' at deflections [1/m], shape (...). At a point of the table, the slope is that below the point."""
+        """Returns the slope r' of the ratio [1/m] at deflections [m], shape (...).
+
+        At a point of the table, the slope is that of the segment below the point.
+        """
         return self._segments[3][self.x.searchsorted(deflection)]
 
     def travel(self, deflection: Array) -> Array:
-        """Returns D [m] at deflections [m], shape (...)."""
+        """Returns the travel D [m] at deflections [m], shape (...)."""
         return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:
@@ -127,7 +128,7 @@ class RatioTable:
         """Returns the force of a damper at the wheel, over velocity and deflection.
 
         The force of a position-dependent damper is computed at the deflections of both tables and at `COLUMNS` more
-        deflections. It is interpolated linearly between them.
+        deflections. The force is interpolated linearly between these deflections.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
@@ -139,7 +140,7 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic. Its largest force is that at the ends of a given range."""
+    """Returns a straight characteristic. The largest force of an element is computed at the ends of a given range of travel."""
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
 

@@ -1,12 +1,12 @@
 """A damper's force over velocity v and deflection d, as a table with bilinear interpolation.
 
-Both arguments are positive in extension, as in `models.characteristics.curve`. Beyond its velocities, the table continues with
-its last slopes. Beyond its deflections, it keeps its last column. The ratio r of damper travel to suspension travel is given at
-each deflection and interpolated linearly. The force along the suspension is
+Velocity and deflection are positive in extension, as in `models.characteristics.curve`. Beyond its velocities, the table
+continues with its last slopes. Beyond its deflections, it keeps its last column. The ratio r of damper travel to suspension
+travel is given at each deflection and interpolated linearly. The force in the direction of the suspension's deflection is
 
     F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
 
-Linear analysis uses the slope over velocity at v = 0 and d = 0.
+Linear analysis uses the derivative with respect to velocity at v = 0 and d = 0.
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,18 +17,19 @@ import numpy as np
 from models.characteristics.curve import STRAIGHT, ForceCurve, slope_at_rest
 from models.common.arrays import Array
 
-NODES, WIDTH = 400, 6.0  # number of points for the mean over Gaussian deflections; half of their range in standard deviations
+# Number of points for the mean over normally distributed deflections, and half of their range in standard deviations
+NODES, WIDTH = 400, 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class ForceSurface(ForceCurve):
-    """Force over velocity and deflection. As a `ForceCurve`, it is the section at deflection 0.
+    """Force over velocity and deflection. Used as a `ForceCurve`, the object is the section of the table at deflection 0.
 
     Attributes:
         velocities: velocities u of the table [m/s], ascending, with 0 between the first and the last, shape (n,).
         deflections: deflections of the table [m], ascending, shape (k,).
-        table: G at these velocities (rows) and deflections (columns) [N], 0 at velocity 0, shape (n, k).
-        ratio: r at the deflections, above 0, shape (k,).
+        table: force G at these velocities (rows) and deflections (columns) [N], 0 at velocity 0, shape (n, k).
+        ratio: motion ratio r at the deflections, above 0, shape (k,).
     """
 
     velocities: Array = field(kw_only=True)
@@ -37,17 +38,18 @@ class ForceSurface(ForceCurve):
     ratio: Array = field(kw_only=True)
 
     def along(self, velocity: Array, deflection: Array) -> Array:
-        """Returns F at velocities and deflections of the suspension [N], shape (...)."""
+        """Returns the force F at velocities and deflections of the suspension [N], shape (...)."""
         j = self.deflections.searchsorted(deflection)
         constant, steep = self.ratios
         r = constant.take(j) + steep.take(j) * deflection
         u = r * velocity
         i = self.velocities.searchsorted(u)
-        a, b, c, e = self.cells.reshape(4, -1).take(i * len(constant) + j, axis=1)  # faster than indexing with two indices
+        # `take` is faster than indexing with two indices
+        a, b, c, e = self.cells.reshape(4, -1).take(i * len(constant) + j, axis=1)
         return r * (a + b * u + (c + e * u) * deflection)
 
     def beyond(self, velocity: Array, deflection: Array) -> Array:
-        """Returns the deviation of F from its linearisation [N], shape (...)."""
+        """Returns the deviation of the force F from its linearisation [N], shape (...)."""
         return self.along(velocity, deflection) - self.slope * np.asarray(velocity)
 
     def scaled(self, factor: float) -> "ForceSurface":
@@ -60,7 +62,7 @@ class ForceSurface(ForceCurve):
         return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, **parts)
 
     def mean(self, centre: float, deviation: float) -> ForceCurve:
-        """Returns the mean of F over Gaussian deflections, at the velocities of the table.
+        """Returns the mean of the force F over normally distributed deflections, at the velocities of the table.
 
         Deflections and velocities are independent.
 
@@ -92,21 +94,22 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def cells(self) -> Array:
-        """Coefficients a, b, c and e of every cell, including those beyond the table, shape (4, n + 1, k + 1)."""
+        """Coefficients a, b, c and e of every cell, including the cells beyond the table, shape (4, n + 1, k + 1)."""
         u, d, slope = self.velocities, self.deflections, np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]
         slope = np.vstack([slope[:1], slope, slope[-1:]])
-        first = np.concatenate([[0], np.arange(len(u))])  # the point relative to which each row of cells is defined
-        ends = np.stack([self.table[first] - slope * u[first, None], slope])  # a + c d and b + e d at the deflections
+        first = np.concatenate([[0], np.arange(len(u))])  # index of the point relative to which each row of cells is defined
+        # Values of a + c d and b + e d at the deflections d
+        ends = np.stack([self.table[first] - slope * u[first, None], slope])
         return np.concatenate(_lines(d, ends))
 
     @cached_property
     def ratios(self) -> Array:
-        """Constant and slope of r between deflections and beyond them, shape (2, k + 1)."""
+        """Constant and slope of the motion ratio r between the deflections and beyond them, shape (2, k + 1)."""
         return np.stack(_lines(self.deflections, self.ratio))
 
 
 def _lines(d: Array, values: Array) -> tuple[Array, Array]:
-    """Returns constants and slopes of the lines between values at d, shapes (..., k + 1).
+    """Returns the constants and slopes of straight lines between the values at the arguments d, shapes (..., k + 1).
 
     Beyond the ends, the lines are constant.
 

@@ -1,6 +1,7 @@
 """CSV files of a damper's force over velocity and deflection, in two forms.
 
-A sheet has deflections in its first row and velocities in its first column. Its first cell contains the quantities and their
+A sheet has deflections in its first row and velocities in its first column. The first cell of a sheet contains the quantities
+and their
 units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of
 velocity and deflection.
 """
@@ -17,9 +18,11 @@ from models.common.table import NumberTable, find_table
 from models.common.units import unit_named, unit_size
 
 NAMES = ("velocity", "deflection", "force")
-QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
+QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # pattern of a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-PAIRS_PER_ROW = 4  # largest number of pairs in a row; a list with more pairs is not a table of this type
+# Largest number of pairs of velocity and deflection in the grid, per row of the list; if more pairs are missing, the list is
+# not a table of this type
+PAIRS_PER_ROW = 4
 
 
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:

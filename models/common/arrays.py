@@ -1,6 +1,6 @@
 """The array type of all signatures, a check for matrices from users, and linear recursions.
 
-Docstrings give shapes and units. Entries are float64 unless a docstring says that they are complex.
+Docstrings give shapes and units. Entries are float64 unless a docstring describes them as complex.
 """
 
 import itertools
@@ -12,12 +12,13 @@ import numpy as np
 from models.common.errors import InputError
 
 Array = np.ndarray
-MOST = 2000  # rows or columns; larger models need methods for large sparse systems
+MOST = 2000  # largest number of rows or columns; larger models need methods for large sparse systems
 
 
 def is_masked(value: object) -> bool:
     """Returns True for an array, or nested lists, with a masked value."""
-    masks = sys.modules.get("numpy.ma")  # importing this module takes time, and it is already imported if a masked array exists
+    # Importing `numpy.ma` takes time; if a masked array exists, the module is already imported
+    masks = sys.modules.get("numpy.ma")
     if masks is None or not isinstance(value, np.ndarray | list | tuple):
         return False
     return masks.is_masked(value) if isinstance(value, np.ndarray) else any(is_masked(one) for one in value)
@@ -43,8 +44,8 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         expected: required shape as text, for messages; empty if any shape is allowed.
 
     Returns:
-        The matrix, and the magnitude of its largest entry. Callers need this number as well, and computing it takes as long as
-        the check.
+        The matrix, and the magnitude of its largest entry. The magnitude is returned because callers need it, and because
+        computing it takes as long as the check.
 
     Raises:
         InputError: the value is not such a matrix. The message gives the name of the argument.
@@ -75,11 +76,11 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
 
 
 def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] with x[0] = `start`, or 0, shape (..., T, n) like the forcing.
+    """Solves the recursion x[k+1] = Phi x[k] + forcing[k] with x[0] = `start`; returns x, shape (..., T, n).
 
     A Python loop over all T samples would be slow. The samples are therefore divided into about sqrt(T) stretches of about
     sqrt(T) samples. The responses of all stretches from x = 0 are computed together. Then the effect of each stretch on the
-    following ones is added.
+    following stretches is added.
 
     Args:
         Phi: transition matrix of one sample, shape (n, n).
@@ -87,7 +88,7 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
         start: initial state, shape (n,) or (..., n); None for 0.
     """
     *runs, samples, n = forcing.shape
-    if start is not None:  # a step from 0 leads to the start
+    if start is not None:  # a forcing before the first sample takes the state from 0 to `start`
         first = np.broadcast_to(start, (*runs, 1, n))
         return recursion(Phi, np.concatenate([first, forcing], axis=-2))[..., 1:, :]
     length = math.isqrt(samples) + 1

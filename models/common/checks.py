@@ -25,7 +25,7 @@ from models.common.files import path_from
 from models.common.units import in_unit
 
 F = TypeVar("F", bound=Callable[..., Any])
-HERE = "\N{WHITE SQUARE}"  # in the message of a `models.common.schema.Key`, instead of the name of the value
+HERE = "\N{WHITE SQUARE}"  # placeholder for the name of the value in messages of a `models.common.schema.Key`
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Must:
     holds: Callable[[Any], bool]
     unit: str = ""
 
-    def __repr__(self) -> str:  # shown by `help`, where the condition itself would be shown as an address
+    def __repr__(self) -> str:  # `help` shows this text; it would show the condition itself as an address
         return repr(self.words.lstrip(", "))
 
 
@@ -151,10 +151,10 @@ def check_arguments(function: F) -> F:
 def accept_former_names(**names: str) -> Callable[[F], F]:
     """Returns a decorator for a public function or dataclass that also accepts former names of arguments.
 
-    The attributes of such a dataclass can also be read by their former names.
+    The attributes of the dataclass can also be read by their former names.
 
     Args:
-        names: present name of each former name.
+        names: the present name for each former name.
     """
 
     def decorate(one: F) -> F:
@@ -209,8 +209,8 @@ def plain(value: Any) -> Any:
 class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
-    The arguments are the place of the wrong part within the value, such as "[0]", the part, the annotation that it does not
-    fit, and a message. An empty message is replaced by the usual one.
+    The arguments are the place of the wrong part within the value, such as "[0]"; the part; the annotation that the part does
+    not fit; and a message. An empty message is replaced by the default message.
     """
 
 
@@ -261,11 +261,15 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
 
 def _obviously(value: Any, annotation: Any) -> bool:
     """Returns True for a text, number or truth value that fits without further checks, as most fields of a linear model do."""
-    return type(value) is annotation and annotation in PLAIN and value == value  # excludes NaN, which is not equal to itself
+    # The comparison excludes NaN, which is not equal to itself
+    return type(value) is annotation and annotation in PLAIN and value == value
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
-    """Returns a value and True if it has the wanted type. The value is converted if an array or a path is wanted."""
+    """Returns a value, converted if necessary, and True if it has the requested type.
+
+    Arrays and paths are converted from other types.
+    """
     if wanted is Array:
         try:
             array = np.asarray(value)

@@ -3,9 +3,9 @@
 Every wait for an answer has a time limit, and the end of a child raises an exception. Children can therefore execute code that
 hangs or crashes.
 
-Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need
-`if __name__ == "__main__"`. A child has an empty stdin, and its prints go to stderr. It ignores Ctrl-C and ends with its
-parent, even in the middle of a call.
+Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need `if __name__
+== "__main__"`. A child has an empty stdin, and its prints go to stderr. A child ignores Ctrl-C, and ends when its parent ends,
+even in the middle of a call.
 """
 
 import os
@@ -24,9 +24,9 @@ from contextlib import suppress
 from typing import IO, Any
 
 Answers = Callable[[Iterator[Any]], Iterator[Any]]  # generator function of a module: yields an answer for each message
-# Environment for BLAS, whose additional threads would only wait
+# Environment that limits BLAS to one thread, because additional threads would only wait
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
-GRACE = 0.5  # s, time for a child to finish after its parent ends it
+GRACE = 0.5  # time for a child to finish after its parent has ended or closed the pipe [s]
 
 
 class EndedError(Exception):
@@ -34,22 +34,22 @@ class EndedError(Exception):
 
 
 class Child:
-    """A child process as its parent sees it. The process ends with this object."""
+    """Handle of a child process in its parent. The process ends when this object is deleted."""
 
     def __init__(self, answers: Answers) -> None:
         """Starts the process.
 
         Args:
-            answers: generator function that runs in the child. It receives an iterator of messages and yields an answer for
-                each. `receive` raises an exception that the function yields or raises. An exception that it raises ends the
-                child.
+            answers: generator function that runs in the child. The function receives an iterator of messages and yields an
+                answer for each message. `receive` raises an exception that the function yields or raises. An exception that the
+                function raises ends the child.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(
             [sys.executable, "-c", code],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the parent only
+            start_new_session=True,  # Ctrl-C then reaches only the parent
             env=ONE_THREAD | os.environ,
         )
         _running_processes.add(process)
@@ -88,9 +88,9 @@ class Child:
             Exception: the answer is an exception.
         """
         try:
-            # The remaining time may already be negative
+            # The remaining time is limited to 0, because it may already be negative
             answer = self._answers.get(timeout=None if longest is None else max(0.0, longest))
-        # KeyboardInterrupt as well: otherwise, the pending answer would be taken for the answer to the next message
+        # This includes KeyboardInterrupt. Otherwise, the pending answer would be taken for the answer to the next message
         except BaseException as error:
             self.end()
             raise (TimeoutError if isinstance(error, queue.Empty) else error) from None
@@ -103,7 +103,7 @@ class Child:
         return answer
 
 
-_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # processes of all children
+_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # the running processes of all children
 
 
 def kill_children() -> None:
@@ -121,7 +121,7 @@ def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a child: at its next message, or by force after twice `GRACE`."""
+    """Ends a child when it reads its next message, or by force after twice the time `GRACE`."""
     assert process.stdin is not None, "it is a pipe"
     with suppress(OSError):
         process.stdin.close()
@@ -133,14 +133,14 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def serve() -> None:
-    """Answers messages in the child process. The first message is the function that answers the others."""
+    """Answers messages in the child process. The first message is the function that answers all later messages."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with open(os.devnull, "rb") as empty, suppress(OSError):  # stderr may be closed
         os.dup2(empty.fileno(), 0)
         os.dup2(2, 1)
     if not sys.warnoptions:
-        warnings.simplefilter("ignore", RuntimeWarning)  # warnings of NumPy, as in commands
+        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's warnings are ignored, as in commands
     sys.stdout, messages = sys.stderr, queue.SimpleQueue[Any]()
     threading.Thread(target=_listen, args=(requests, messages), daemon=True).start()
     function: Answers = messages.get()
@@ -155,7 +155,10 @@ def serve() -> None:
 
 
 def _listen(requests: IO[bytes], messages: "queue.SimpleQueue[Any]") -> None:
-    """Reads messages. If the parent has ended or closed the pipe, ends their iterator, and after `GRACE` the process."""
+    """Reads messages.
+
+    If the parent has ended or closed the pipe, the iterator of messages ends, and the process ends after the time `GRACE`.
+    """
     try:
         while True:
             messages.put(pickle.load(requests))

@@ -1,7 +1,7 @@
 """Start and end of a command. Every command that fails prints one line to stderr and returns an exit code.
 
-The module of a command calls `run` before it imports anything else. An interrupt by Ctrl-C during imports therefore also ends
-with one line.
+The module of a command calls `run` before it imports anything else. Ctrl-C during the imports therefore also ends the command
+with a one-line message.
 """
 
 import os
@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 INTERRUPT_EXIT_CODE = 130
-# Objects between two garbage collections (Python's default is 700); imports alone create about 50 000 permanent objects
+# Number of new objects that starts a garbage collection (Python's default is 700); imports alone create about 50 000 permanent
+# objects
 GARBAGE = 100_000
 # No command renders with MuJoCo. Without this setting, MuJoCo would start a second Python process to look for GLFW. A second BLAS
 # thread would wait for work without sleeping, and use more processor time than the small matrix products need.
@@ -35,7 +36,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
         os.environ.setdefault(name, value)
     import signal
 
-    received = list[int]()  # numbers of the received interrupts
+    received = list[int]()  # numbers of the received signals
 
     def interrupt(number: int, frame: "FrameType | None") -> None:
         received.append(number)
@@ -46,28 +47,33 @@ def run(command: str, *arguments: str) -> "NoReturn":
         import importlib
         import warnings
 
-        # Not if interrupts are ignored, as for a background job of a script
+        # Interrupts stay ignored if they were ignored before, as in a background job of a script
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)
         gc.set_threshold(GARBAGE)
         sys.unraisablehook = _unraisable
         if not sys.warnoptions:
-            warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's warnings; the command prints a message about overflows
+            # NumPy's warnings are not shown, because the command prints its own message about overflows
+            warnings.simplefilter("ignore", RuntimeWarning)
         if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
             reconfigure(errors="backslashreplace")  # names may contain letters that the terminal cannot show
         code = importlib.import_module(command).main(*arguments)
-        importlib.import_module("models.common.printed").show("")  # ends the thread that counts seconds
-        if sys.stdout:  # None if stdout is closed, as by `>&-`
+        importlib.import_module("models.common.printed").show("")  # an empty text ends the thread that counts seconds
+        if sys.stdout:  # `sys.stdout` is None if stdout is closed, for example by `>&-`
             sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:
         code = _exit_code(command, error, bool(received))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command has finished, so interrupts are ignored
-    exec("")  # CPython remembers an interrupt inside `exec`, as dataclasses use it, and would end with the signal after all
+    # CPython remembers an interrupt inside `exec`, which dataclasses use, and would still end the process by the signal
+    exec("")
     sys.exit(code)
 
 
 def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Repeats a Ctrl-C that arrived while a finaliser ran, for example in a garbage collection. Python would only print it."""
+    """Repeats a Ctrl-C that arrived while a finaliser ran, for example in a garbage collection.
+
+    Without this function, Python would only print the interrupt.
+    """
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         return sys.__unraisablehook__(unraisable)
     import _thread

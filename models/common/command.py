@@ -37,16 +37,16 @@ def _versions() -> dict[str, str]:
     return versions_by_name
 
 
-ALL = "all"  # can be given instead of a controller's name
+ALL = "all"  # word that selects all controllers, instead of a controller's name
 
 
 class Parser(argparse.ArgumentParser):
     """Command-line parser with one-line errors.
 
-    It refuses empty options, and repeated options unless they are declared as such.
+    The parser refuses options with an empty value, and repeated options unless they are declared as repeatable.
     """
 
-    by_verb = False  # True for `roadproof VERB`; help and errors then use this form
+    by_verb = False  # True if the command was called as `roadproof VERB`; help and errors then use this form
 
     def __init__(self, prog: str, description: str, epilog: str, page: str = "") -> None:
         self.module = prog
@@ -72,18 +72,22 @@ class Parser(argparse.ArgumentParser):
         return re.sub(r"python -m (sim$|sim[. ])?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the known and the unknown options. Refuses a value that belongs to no option, such as a part of a name."""
+        """Parses the arguments and returns the known options and the unknown arguments.
+
+        Refuses a value that does not belong to an option, for example a part of a name with spaces.
+        """
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
             self.error(f"unrecognized argument {others[0]!r}; {self._advice(args[: args.index(others[0]) + 1])}")
         return options, others
 
     def _advice(self, args: Sequence[str]) -> str:
-        """Returns advice about the last of these arguments, which the parser does not expect."""
+        """Returns advice about the last one of the arguments that the parser does not expect."""
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
-        if action is None or action.nargs == 0:  # the values belong to the command itself
+        # The option is unknown or has no value, so the values belong to the command itself
+        if action is None or action.nargs == 0:
             option, action = "", next(iter(self._get_positional_actions()), None)
         if action is None or len(values) < 2:
             usual = "--vehicle" if values[-1].endswith(".toml") else "" if "." in values[-1] else "--controller"
@@ -150,7 +154,10 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--vehicle", default="quarter_car", metavar="FILE", help=meaning)
 
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
-        """Adds an option for a finite number, or a number with its unit, such as 90km/h. `unset` describes the default None."""
+        """Adds an option for a finite number, or a number with its unit, such as 90km/h.
+
+        `unset` describes what the default None means.
+        """
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
         self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=said)
@@ -162,7 +169,10 @@ class Parser(argparse.ArgumentParser):
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
     ) -> None:
-        """Adds an option for an integer from `low` to `high`, or several if `many` is True. `unset` is its default."""
+        """Adds an option for an integer from `low` to `high`, or for several integers if `many` is True.
+
+        `unset` is its default.
+        """
 
         def count(text: str) -> int:
             try:
@@ -177,7 +187,9 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_printed(self, what: str, brief: str = "") -> None:
-        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`. A command line may contain only one of them.
+        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`.
+
+        A command line may contain only one of these options.
 
         Args:
             what: details that `--verbose` prints.
@@ -215,7 +227,7 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
     Args:
         names: names of all controllers of the vehicle.
         given: values of `--controller`.
-        usual: the selection without `--controller`.
+        usual: the controllers that are selected without `--controller`.
 
     Raises:
         InputError: no name is given, a name is unknown or given twice, or `all` is given together with a name.
@@ -239,10 +251,12 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
 def chosen_of(
     vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = ()
 ) -> dict[str, list[str]]:
-    """Returns the controllers of several vehicles that `--controller` selects. Each vehicle gets those that it has.
+    """Returns the controllers of several vehicles that `--controller` selects.
+
+    For each vehicle, the result contains the selected controllers that this vehicle has.
 
     Args:
-        vehicles: names of all controllers of each vehicle, by a key of the vehicle.
+        vehicles: names of all controllers of each vehicle, by a key that identifies the vehicle.
         given: names on the command line, as in `chosen_controllers`.
         usual: default names, as in `chosen_controllers`.
 
@@ -326,7 +340,7 @@ class _Flag(argparse.Action):
 
 def complain(message: str) -> None:
     """Prints a message to stderr as one printable line."""
-    show("")  # clears the line of progress
+    show("")  # an empty text clears the line of progress
     print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
@@ -343,19 +357,25 @@ def print_remarks(given: Any) -> Any:
 
 
 def print_json(result: Mapping[str, Any]) -> None:
-    """Prints the result of a command as JSON. Warnings about its vehicles and roads, if any, are the value of `remarks`."""
+    """Prints the result of a command as JSON.
+
+    If there are warnings about vehicles or roads, the key `remarks` contains them.
+    """
     print(json.dumps({**result, **({"remarks": _remarks} if _remarks else {})}, allow_nan=False))
 
 
 def _page(text: str) -> str:
-    """Returns a text of `--help` with wrapped paragraphs. Examples are indented; long ones continue after a backslash."""
-    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # joins the lines of a paragraph
+    """Returns a text of `--help` with wrapped paragraphs.
+
+    Examples are indented, and a long example continues after a backslash.
+    """
+    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of a paragraph are joined
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example as lines that fit the width and can be copied as a whole."""
+    """Returns an example as lines that fit the width of the output, and that can be copied together."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 
@@ -377,7 +397,7 @@ def _path(text: str) -> Path:
 
 
 def _number_in(unit: str) -> Callable[[str], float]:
-    """Returns a function that reads a finite number, with or without a unit, and converts it to a given unit."""
+    """Returns a function that reads a finite number with or without a unit, and converts the number to a given unit."""
 
     def number(text: str) -> float:
         try:

@@ -1,4 +1,4 @@
-"""The error for invalid input. Every command turns it into a one-line message and exit code 2."""
+"""The error for invalid input. If this error is raised, a command prints a one-line message and returns the exit code 2."""
 
 import difflib
 import reprlib
@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from typing import Any
 
 TRACEBACK = "--traceback"  # option of every command
-LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
-LONGEST_VALUE = 60  # characters of a value in a message
+LONGEST = 1000  # most characters of a message; the longest list of allowed names has 700 characters
+LONGEST_VALUE = 60  # most characters of a value in a message
 
 _shortly = reprlib.Repr()
 _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, LONGEST_VALUE, LONGEST_VALUE, LONGEST_VALUE
@@ -29,7 +29,7 @@ class InputError(ValueError):
 
 @contextmanager
 def error_in(where: str) -> Iterator[None]:
-    """Puts a place, such as the name of a file, in front of the message of an InputError that the block raises."""
+    """If the block raises an InputError, puts a place, such as the name of a file, in front of its message."""
     try:
         yield
     except InputError as error:
@@ -66,7 +66,10 @@ def number_range(smallest: float, largest: float, unit: str = "") -> str:
 
 
 def alike(name: object, names: Iterable[str], most: int = 12) -> str:
-    """Returns the allowed names as a list for a message. If there are more than `most`, only those similar to a wrong name."""
+    """Returns the allowed names as a list for a message.
+
+    If there are more than `most` names, the list contains only names that are similar to the wrong name.
+    """
     known = sorted(names)
     if len(known) <= most:
         return list_names(known)
@@ -75,5 +78,5 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """Returns the first few of many names, and the number of the others."""
+    """Returns the first few of many names, and how many other names there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

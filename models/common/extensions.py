@@ -12,9 +12,9 @@ from models.common.lazy import resolve_name
 
 
 class Registry(dict[str, str]):
-    """Extensions of one type by name. The value of each is "module:attribute" or a module.
+    """Extensions of one type, by their names. The value of each name is "module:attribute" or the name of a module.
 
-    The order of the names is the order of columns, sections and messages.
+    Columns, sections and messages appear in the order of the names.
 
     Attributes:
         sort: noun for an extension of this type, for messages.
@@ -86,7 +86,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "h2": "synth.design.full_order.quadratic:quadratic",
         "preview": "synth.design.full_order.preview:preview",
     },
-    "feature": {  # modules with public names: functions of vehicle files, commands and results that are not part of the core
+    "feature": {  # modules whose public names are not part of the core: functions for vehicle files, commands and results
         "adjustable dampers": "models.characteristics.adjustable_range",
         "curves": "models.characteristics.curve",
         "curves in files": "models.characteristics.curve_reading",
@@ -159,7 +159,8 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "step response": "sim.studies.ride.step_response",
         "comparison with a measured log": "sim.studies.validity.measured_log",
     },
-    # Functions or classes that create a driver from (controllers, failures, numbers), see `sim.drive.drivers.registry`
+    # Functions or classes that create a driver from the arguments (controllers, failures, numbers); see
+    # `sim.drive.drivers.registry`
     "driver": {
         "linear": "sim.drive.drivers.linear:LinearDriver",
         "semi_active": "sim.drive.drivers.semi_active:SemiActiveDriver",
@@ -167,14 +168,15 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "recorded": "sim.drive.drivers.recorded:RecordedDriver",
         "code": "sim.drive.drivers.code:CodeDriver",
     },
-    "observer": {  # classes for batches, see `sim.drive.drive.Observer`, or functions of a recording
+    "observer": {  # classes that observe a batch of runs, see `sim.drive.drive.Observer`, or functions of a recording
         "energy": "sim.observers.energy:energy",
         "steps": "sim.observers.steps:compare_steps",
         "commands": "sim.observers.commands:compare_commands",
         "twin": "sim.observers.twin:Twin",
         "growth": "sim.observers.growth:Growth",
     },
-    "metric": {  # classes; the name is the key in `--best`, and in the table of controllers, whose columns have this order
+    # Classes; the name of a metric is its key in `--best` and in the table of controllers, whose columns have this order
+    "metric": {
         "dive": f"{_STANDARD}:Dive",
         "squat": f"{_STANDARD}:Squat",
         "roll": f"{_STANDARD}:Roll",
@@ -194,7 +196,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "energy": f"{_STANDARD}:ControlEnergy",
         "at_stops": f"{_STANDARD}:AtStops",
     },
-    "study": {  # classes, then the purpose of the command, if the study is one, and its main options, see `sim.studies.study`
+    "study": {  # class of the study; if the study is a command, also its purpose and its main options, see `sim.studies.study`
         "designs": "sim.report.designs:DesignsStudy",
         "sweep": (f"{_FREQUENCY}:SweepStudy", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
         "response": "sim.report.agreement:ResponseStudy",
@@ -221,6 +223,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         ),
     },
 }
-_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # by default, a metric is not combined over runs
+_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # the default of `over_runs`: a metric is not combined over runs
 EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
 PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

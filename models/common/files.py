@@ -1,9 +1,9 @@
 """Reading and writing of files, and of TOML.
 
-A file is written under a temporary name and then renamed, so it is always complete.
+A file is written under a temporary name and then renamed, so no program ever reads an incomplete file.
 
-If the path is a link, its target is replaced. The new file has the permissions of the old file. A pipe, a device or standard
-output receives the content when it is complete.
+If the path is a link, its target is replaced. The new file has the same permissions as the old file. A pipe, a device or
+standard output receives the content when it is complete.
 """
 
 import hashlib
@@ -53,7 +53,8 @@ def path_from(file: str | Path, folder: Path = Path()) -> Path:
     return folder / os.path.expanduser(file)
 
 
-STDOUT = Path("/dev/stdout")  # not the file behind it, because the shell has opened that file
+# Output to this path is written to the open stream, because the shell has already opened the file behind it
+STDOUT = Path("/dev/stdout")
 # Inside a block of `together`: the complete files that are not yet renamed, and their targets. Otherwise None.
 _waiting_files: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)
 
@@ -64,7 +65,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: purpose of the file, for the message.
+        what: purpose of the file, for the error message.
         instead: advice for the message if the file cannot be written.
 
     Raises:
@@ -146,7 +147,7 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
 
 @contextmanager
 def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
-    """Creates a folder and its missing parents. If the block fails, removes those of them that are empty.
+    """Creates a folder and its missing parents. If the block fails, the created folders that are still empty are removed.
 
     Raises:
         InputError: the folder cannot be created, or files cannot be written in it.
@@ -158,7 +159,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
             path.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
-        with suppress(OSError):  # a folder that is not empty stays
+        with suppress(OSError):  # `rmdir` keeps a folder that is not empty
             for folder in missing:
                 folder.rmdir()
         raise
@@ -166,7 +167,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
 
 @contextmanager
 def _system_errors(path: Path, what: str, instead: str) -> Iterator[None]:
-    """Turns an error of the operating system into an InputError, except the error of a pipe whose reader has ended."""
+    """Turns an error of the operating system into an InputError, unless the error is that the reader of a pipe has ended."""
     try:
         yield
     except BrokenPipeError:
@@ -197,13 +198,16 @@ def _is_stream(path: Path) -> bool:
 
 
 def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
-    """Checks a folder by writing and removing a file. Permission bits are not sufficient, for example on read-only disks."""
+    """Checks a folder by writing and removing a file.
+
+    A check of the permission bits is not sufficient, for example on read-only disks.
+    """
     with _system_errors(path, what, instead), tempfile.TemporaryFile(dir=folder):
         pass
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is equal for all paths of the same file or folder: links, hard links, or names in another case."""
+    """Returns a value that is the same for all paths of a file or folder: links, hard links, and names in another case."""
     try:
         status = path.stat()
     except (OSError, ValueError):
@@ -266,5 +270,5 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
 
 
 def origin(file: str, content: bytes) -> str:
-    """Returns a comment for a vehicle file that contains the content of another file: name, size and checksum of that file."""
+    """Returns a comment about a file whose content is now in the vehicle file: the name, size and checksum of that file."""
     return f"# from {file!a}, {len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"

@@ -28,7 +28,7 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
 
     Args:
         package: name of the package.
-        file: path of its `__init__.py`. The public names are those that this file imports for type checkers.
+        file: path of its `__init__.py`. The public names are the names that this file imports for type checkers.
     """
     tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imports = [node for one in tree.body if isinstance(one, ast.If) for node in one.body if isinstance(node, ast.ImportFrom)]

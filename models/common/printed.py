@@ -1,8 +1,8 @@
 """Printed output: lines of at most 80 columns, formats of numbers, commands to paste into a shell, and progress.
 
 The width is fixed, so the output does not depend on the terminal. A longer sentence continues on the next line, indented. In a
-table, a name that is too long gets a line of its own. Only paths, and lines to copy, may be longer, because they must not be
-broken.
+table, a name that is too long is on a separate line. Only paths and lines to copy may be longer than 80 columns, because they
+must not be broken.
 """
 
 import math
@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 # Formats of numbers in sentences. Columns of tables use fields (`models.document.field`).
-NORM_DIGITS = ".7g"  # a norm, a bound on a norm, or a level
+NORM_DIGITS = ".7g"  # format of a norm, a bound on a norm, or a level
 digits = f"{{:{NORM_DIGITS}}}".format
-entry = "{:.6g}".format  # an entry of a gain or of a control law
-rough = "{:.4g}".format  # a pole, a rate, a time or a slope
+entry = "{:.6g}".format  # format of an entry of a gain or of a control law
+rough = "{:.4g}".format  # format of a pole, a rate, a time or a slope
 brief = "{:.3g}".format  # a number for comparison
 about = "{:.2g}".format  # an estimate
 magnitude = "{:.0e}".format  # a rounding error
-exactly = "{:.10g}".format  # a claim that does not hold, which may differ only slightly from the true value
+exactly = "{:.10g}".format  # format of a value in a claim that does not hold; the true value may differ only slightly from it
 
 
 def finite(value: Any) -> float | None:
@@ -43,12 +43,15 @@ def difference(value: float) -> str:
 
 
 def as_name(name: str) -> str:
-    """Returns a controller's name for a sentence, in backticks. A page shows backticks as code, a picture shows quotes."""
+    """Returns a controller's name for a sentence, in backticks.
+
+    On a page, a name in backticks appears as code; in a picture, it appears in quotes.
+    """
     return f"`{name}`"
 
 
 def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Groups names by their text.
+    """Groups the names that have the same text.
 
     Args:
         said: pairs of name and text.
@@ -63,7 +66,7 @@ def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def three_digits(value: float) -> str:
-    """Returns a number with three significant digits, or with more if more are before the decimal point."""
+    """Returns a number with three significant digits, or without decimals if it has three or more digits before the point."""
     return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
 
 
@@ -75,7 +78,7 @@ def percent(share: float) -> str:
 
 
 def size(rows: Sequence[Any]) -> str:
-    """Returns the number of rows and their length as text."""
+    """Returns a text with the number of rows and the time that they cover."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"
 
@@ -93,14 +96,14 @@ def pasted_path(path: Path) -> str:
 WIDEST = 79  # a longer line would wrap, and could not be overwritten
 
 
-LONG_STAGE = 3.0  # s, after which a line of progress also shows its time
+LONG_STAGE = 3.0  # time after which a line of progress also shows the elapsed time [s]
 _overwritten, _printing = threading.Event(), threading.Lock()
 
 
 def show(message: str) -> None:
-    """Prints a line to stderr that the next call overwrites; an empty text clears it.
+    """Prints a line to stderr that the next call overwrites; an empty text clears the line.
 
-    A line that stays also shows its seconds.
+    A line that stays for more than `LONG_STAGE` also shows the elapsed seconds.
     """
     global _overwritten
     if not sys.stderr or not sys.stderr.isatty():
@@ -114,7 +117,7 @@ def show(message: str) -> None:
 
 
 def _count(message: str, overwritten: threading.Event) -> None:
-    """Prints a line of progress with its time every second, until it is overwritten."""
+    """Prints a line of progress with the elapsed time every second, until the line is overwritten."""
     start, pause = time.monotonic(), LONG_STAGE
     while not overwritten.wait(pause):
         pause = 1.0
@@ -159,7 +162,7 @@ GLUE = "\N{NO-BREAK SPACE}"
 
 
 class Whole(str):
-    """Line to be copied. It is never broken."""
+    """Line to be copied, which is never broken."""
 
 
 def say(lines: Iterable[str]) -> None:
@@ -168,7 +171,10 @@ def say(lines: Iterable[str]) -> None:
 
 
 def fit_lines(lines: Iterable[str]) -> list[str]:
-    """Returns lines of at most `WIDTH` columns. A longer line is broken, and continues indented by two more columns."""
+    """Returns lines of at most `WIDTH` columns.
+
+    A longer line is broken, and its continuation is indented by two more columns.
+    """
     return [part for line in lines for part in (wrap_text(line) if len(line) > WIDTH else [line])]
 
 
@@ -176,7 +182,7 @@ LINES = 24  # height of a terminal
 
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:
-    """Returns the sentences for which a terminal has room besides other lines, and a line with the number of the others.
+    """Returns the sentences that fit on a terminal together with other lines, and a line with the number of omitted sentences.
 
     The first sentence is always included.
     """
@@ -190,7 +196,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]
 
 
 def title_lines(title: str, source: str) -> list[str]:
-    """Returns a title and, on the next line, the path of its source."""
+    """Returns a title and, on the next line, the path of the file that it describes."""
     return [title, Whole(f"{GAP}{source}")]
 
 
@@ -200,7 +206,7 @@ def wrap_text(text: str, start: str = "", hang: int | None = None) -> list[str]:
     Args:
         text: the text; its leading spaces are kept.
         start: prefix of the first line.
-        hang: number of spaces before the other lines; by default, two more than before the first line.
+        hang: number of spaces before the second and further lines; by default, two more than before the first line.
     """
     if isinstance(text, Whole):
         return [start + text]
@@ -216,12 +222,12 @@ def wrap_text(text: str, start: str = "", hang: int | None = None) -> list[str]:
 
 
 def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = False) -> list[str]:
-    """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long gets a line of its own.
+    """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long is on a separate line.
 
     Args:
         rows: rows with the same number of cells, whose first cell is a name; or a text that spans all columns.
         indent: prefix of every line.
-        tight: True for a single space between columns if more names fit in this case.
+        tight: True to separate columns by a single space if more names then fit.
     """
     all_rows = list(rows)
     cells = [row for row in all_rows if not isinstance(row, str)]

@@ -16,7 +16,8 @@ class Quantity:
     """Quantity in a column of a table.
 
     Attributes:
-        units: size of each unit in SI. The first unit is the SI unit. Other units of the same dimension are also read.
+        units: factor from each unit to SI units. The first unit is the SI unit. Other units of the same dimension are also
+            allowed.
         positive: meaning of a positive number; empty if there is only one possible meaning.
         words: other names of the quantity, in lower case.
     """
@@ -45,7 +46,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "force": Quantity(FORCE, "against extension"),
 }
 UNREAD = "another quantity"
-_WORDS: Mapping[str, str] = {  # names of quantities that no reader uses, and words that are not names of a quantity
+_WORDS: Mapping[str, str] = {  # names of quantities that no reader uses, and words that do not name a quantity
     UNREAD: "speed v acceleration lat latitude lon longitude iri slope width n no number index id",
     "": "wheel wheelpath path track road surface ground along the of in side vertical gps gnss point above sea level",
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
@@ -60,7 +61,7 @@ DIRECTIONS: Mapping[str, int] = {  # words of a heading that determine its sign:
     for word in words.split()
 }
 CORNERS = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
-CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # names of corners in files of test rigs
+CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # other names of corners, as in files of test rigs
 BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
 
@@ -69,7 +70,7 @@ class Heading:
     """Heading of a column.
 
     Attributes:
-        text: text of the heading.
+        text: whole text of the heading.
         name: the text without its unit.
         unit: usual name of the unit; if the unit is unknown, its text. Empty for a heading without a unit.
         column: number of the column, counted from 1.
@@ -82,10 +83,10 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """A key of `QUANTITIES`; empty if the heading has an unknown word, or the name of no or several quantities."""
+        """Quantity of the column, a key of `QUANTITIES`; empty if a word is unknown, or if none or several are named."""
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
-            named.discard("height")  # as in "left height"
+            named.discard("height")  # "left height" means the same as "left"
         return named.pop() if len(named) == 1 and named != {"unknown"} else ""
 
     @property
@@ -95,11 +96,11 @@ class Heading:
 
     @property
     def direction(self) -> int:
-        """Positive direction according to the words: 1 for extension, -1 for compression, 0 for no direction or both."""
+        """Positive direction according to the words: 1 for extension, -1 for compression, 0 if neither or both are given."""
         return sum({DIRECTIONS[word] for word in self.words & DIRECTIONS.keys()})
 
     def scale(self, quantity: str, option: str = "", given: str = "", default: str = "") -> float:
-        """Returns the size of the column's unit in SI.
+        """Returns the factor from the column's unit to SI units.
 
         Args:
             quantity: quantity of the column, a key of `QUANTITIES`.
@@ -127,7 +128,7 @@ class Heading:
 def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     """Returns a heading from its cell: `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
 
-    If forces are among the units, pounds are a force.
+    If `units` contains units of force, a pound (lb) is a force.
 
     Args:
         text: text of the cell.
@@ -138,7 +139,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     if bracket := BRACKETS.search(text):
         is_unit = any(unit_size(bracket[1], quantity.si) for quantity in QUANTITIES.values())
         if Heading(name=bracket[1]).quantity in QUANTITIES and not is_unit:
-            return Heading(text, text, "", column)  # brackets without a unit, as in "height (left)"
+            return Heading(text, text, "", column)  # the brackets do not contain a unit, as in "height (left)"
         return Heading(text, text[: bracket.start()], _unit_of(bracket[1], units), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
         written = text[gap.end() :].replace("_", "/")  # MATLAB's velocity_mm_s
@@ -148,7 +149,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
 
 
 def columns_in_words(headings: Sequence[Heading]) -> str:
-    """Returns a phrase with numbers and headings of columns, such as: columns 1 ('X') and 2 ('Y')."""
+    """Returns a phrase with the numbers and headings of columns, for example: columns 1 ('X') and 2 ('Y')."""
     names = [f"{one.column} ({short_repr(one.text)})" for one in headings]
     return f"column{'s' * (len(names) > 1)} {' and '.join(filter(None, (', '.join(names[:-1]), names[-1])))}"
 

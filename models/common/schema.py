@@ -1,12 +1,14 @@
-"""Sections of a file as data. A section is a frozen dataclass; the annotation of each field gives unit, range and meaning.
+"""Declarations of the sections of a file, as data.
+
+A section is a frozen dataclass; the annotation of each field gives unit, range and meaning.
 
     @dataclass(frozen=True)
     class Payload(Section):
         mass: Annotated[float, SI("kg", "point mass on the body", high=1e5)]
         x: Annotated[float, SI("m", "position of the mass, forward", -20.0, 20.0)] = 0.0
 
-This declaration determines the reader of the section and the messages for invalid input (`read`). It also determines the record
-of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`).
+The declaration determines how the section is read, and the messages for invalid input (`read`). The declaration also determines
+the record of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`).
 `models.common.checks` uses the same annotations for public functions.
 """
 
@@ -22,7 +24,7 @@ from models.common.checks import HERE, is_finite
 from models.common.errors import InputError, alike, error_in, list_names, number_range, short_repr
 from models.common.units import in_unit, setting
 
-SMALLEST, LARGEST = 1e-6, 1e12  # SI; larger or smaller numbers in a file are probably mistakes
+SMALLEST, LARGEST = 1e-6, 1e12  # limits in SI units; larger or smaller numbers in a file are probably mistakes
 # JSON schemas
 TEXT, NUMBER, PAIR = {"type": "string"}, {"type": ["number", "string"]}, {"type": "array", "minItems": 2, "maxItems": 2}
 WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"  # pattern of a text that is a number with a unit
@@ -32,7 +34,9 @@ PLACES = re.compile(HERE + r"((?:\.\w+)*)")
 
 
 class Key:
-    """Annotation of a key. It reads the value with `read`, and describes the key in the reference page and the JSON schema.
+    """Annotation of a key.
+
+    The object reads the value of the key with `read`, and describes the key in the reference page and the JSON schema.
 
     Attributes:
         unit: unit of the value; empty for a value without a unit.
@@ -54,10 +58,10 @@ class Key:
 
         Args:
             value: value in the file.
-            context: facts about the vehicle, see `read`, and the values of the keys that are declared before this key.
+            context: facts about the vehicle (see `read`), and the values of the keys that are declared before this key.
 
         Raises:
-            InputError: the value is not allowed. Its message contains `HERE` instead of section and key.
+            InputError: the value is not allowed. The message of this error contains `HERE` instead of section and key.
         """
         raise NotImplementedError
 
@@ -66,7 +70,8 @@ class Key:
 class SI(Key):
     """A number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an invalid value.
 
-    Infinity is allowed if it is the largest value. This annotation can also be a condition of `models.common.checks`.
+    Infinity is allowed if it is the largest value. Like `Must`, this annotation can also be a condition for
+    `models.common.checks`.
     """
 
     unit: str = "1"
@@ -80,7 +85,7 @@ class SI(Key):
         return self.number(HERE, value)
 
     def number(self, what: str, value: Any) -> float:
-        """Returns a number in SI units. `what` is its name in messages.
+        """Returns a number in SI units. `what` is the name of the number in messages.
 
         Raises:
             InputError: the value is not a number, is out of range, or has another unit.
@@ -177,7 +182,10 @@ class Text(Key):
 
 @dataclass(frozen=True)
 class ListedValues(Key):
-    """A list of values that another key reads. `more` is the end of the message for a list of invalid length."""
+    """A list of values, each of which is read by another `Key`.
+
+    `more` is the end of the message for a list of invalid length.
+    """
 
     meaning: str = ""
     each: Key = Text()
@@ -206,7 +214,7 @@ class ListedValues(Key):
 
 @dataclass(frozen=True)
 class AnyTable(Key):
-    """A table whose keys are names. Its values are read later, when more information is available."""
+    """A table whose keys are names. The values of the table are read later, when more information is available."""
 
     schema: ClassVar[Mapping[str, Any]] = {"type": "object"}
     meaning: str = ""
@@ -279,7 +287,10 @@ class BySignal(Key):
 
 @dataclass(frozen=True)
 class ReadBy(Key):
-    """A value that only one section uses. A function of value and context reads it; `allowed` is its JSON schema."""
+    """A value of a form that only one section uses.
+
+    A function of value and context reads the value; `allowed` is the JSON schema of the value.
+    """
 
     meaning: str = ""
     function: Callable[[Any, Mapping[str, Any]], Any] = lambda value, _: value
@@ -297,7 +308,7 @@ class ReadBy(Key):
 
 
 def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Reads a value inside the value of a key. Messages also contain its place there, `.NAME` or `[INDEX]`."""
+    """Reads a value inside the value of a key. Messages also contain the place of the inner value, `.NAME` or `[INDEX]`."""
     try:
         return key.read(value, context)
     except InputError as error:
@@ -317,12 +328,12 @@ class Section:
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the table of a file after converting values that depend on other keys, before any value is checked."""
+        """Returns the table of a file after converting values that depend on other keys. No value has been checked yet."""
         return given
 
     @property
     def record(self) -> dict[str, Any]:
-        """The section in a log: keys whose values differ from the defaults, in SI units."""
+        """The section as it is written to a log: keys whose values differ from the defaults, in SI units."""
         given = {one.name: (getattr(self, one.name), one.default) for one in fields(self)}  # pyright: ignore[reportArgumentType]
         return {name: _plain_value(value) for name, (value, usual) in given.items() if value != usual}
 
@@ -384,7 +395,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Adds section and key to the message of an InputError, instead of `HERE` or at its beginning."""
+    """Adds section and key to the message of an InputError: either `HERE` is replaced, or they precede the message."""
     try:
         yield
     except InputError as error:
@@ -399,7 +410,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
         where: name of the section, for messages.
         section: dataclass of the section.
         text: the text.
-        names: the allowed names; by default, those of all keys.
+        names: the allowed names; by default, the names of all keys.
 
     Raises:
         InputError: the text has another form, or a name or value is not allowed.

@@ -1,6 +1,6 @@
 """Tables of numbers in text files, spreadsheets, MATLAB and LabVIEW files.
 
-Roads, rigs, characteristics and logs use this reader.
+The readers of roads, rigs, characteristics and logs use this module.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a
 decimal comma. A table uses one decimal mark and no thousands separators. A comment begins with `#`; a line that begins with
@@ -29,16 +29,18 @@ from models.common.logs.recordings import MDF_SUFFIXES, mcap_rows, mdf_rows
 from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
 from models.common.units import unit_size
 
-# The least ambiguous separator comes first
+# Separators of cells, the least ambiguous one first
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}
 COMMENT = re.compile(r"\s*(#|%|!|//)")
-THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000 with a decimal comma, or a number of thousands
-SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the preceding word
+# Ambiguous number: between 1 and 1000 with a decimal comma, or an integer with a thousands separator
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+# Pattern of a cell; a unit in brackets belongs to the preceding word
+SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
-LONGEST_UNIT = 3  # characters of an unknown unit
-MOST_BYTES = 500 * 10**6  # size of a file; larger files would not fit into memory as text
-HALF_A_DAY = 43200.0  # s, after which 12-hour clocks start again
+LONGEST_UNIT = 3  # most characters of a word that counts as an unknown unit
+MOST_BYTES = 500 * 10**6  # largest size of a file; larger files would not fit into memory as text
+HALF_A_DAY = 43200.0  # time after which 12-hour clocks start again [s]
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
 MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in lower case
 
@@ -62,7 +64,7 @@ class NumberTable:
     give: str
 
     def headings(self, units: Collection[str], optional: bool = False, alike: bool = False) -> list[Heading]:
-        """Returns the headings of all columns. They are on the line above the numbers, or above a line with units.
+        """Returns the headings of all columns. The headings are on the line above the numbers, or above a line with units.
 
         Args:
             units: units whose dimensions are allowed for columns.
@@ -74,7 +76,7 @@ class NumberTable:
             InputError: headings are missing, are equal, or contain a number.
         """
         text = LINE_IN_QUOTES.sub(lambda cell: " ".join(cell[0].split()), "\n".join(self.lines[: self.first]))
-        above: dict[bool, list[list[Heading]]] = {True: [], False: []}  # key: True if the line is a comment
+        above: dict[bool, list[list[Heading]]] = {True: [], False: []}  # the key is True for lines that are comments
         for line in text.split("\n"):
             comment = COMMENT.match(line)
             cells = self._heading_cells(line[comment.end() :] if comment else line)
@@ -108,7 +110,10 @@ class NumberTable:
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
-        """Returns the cells of a line above the numbers; empty if their number is wrong. The separator may be another one."""
+        """Returns the cells of a line above the numbers; empty if their number is wrong.
+
+        The separator may differ from the one of the numbers.
+        """
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
         for mark in dict.fromkeys((self.separator.strip(" ") or ";", *SEPARATORS.values())):
@@ -129,7 +134,7 @@ class NumberTable:
         """Returns the numbers of columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
-            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last one, are
+            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
                 ignored.
             ragged: True if numbers may follow the last column.
             gaps: True if cells may be missing, as in `MISSING`; they become NaN.
@@ -172,7 +177,9 @@ class NumberTable:
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
     def seconds(self, heading: Heading, default: str = "") -> Array:
-        """Returns the times in a column [s], shape (rows,). Cells are numbers with a unit, or times of day.
+        """Returns the times in a column [s], shape (rows,).
+
+        The cells are numbers, whose unit is in the heading, or times of day.
 
         Times of day may cross midnight once.
 
@@ -216,13 +223,14 @@ class NumberTable:
 def table_text(path: Path) -> str:
     """Returns the content of a file as text.
 
-    Text files are UTF-8, otherwise Windows-1252. In LabVIEW files, headings contain the units. Other files become lines with
-    tabs. A spreadsheet (.xlsx) gives the sheet with a table, otherwise its first sheet. A MATLAB file (.mat) gives its arrays,
-    and a Parquet file (.parquet) its columns of numbers. Recordings (MDF4, .mf4, and MCAP, .mcap) give their channels.
+    Text files are read as UTF-8 or, if this fails, as Windows-1252. For LabVIEW files, units are added to the headings. All
+    other files are converted to lines with tabs. For a spreadsheet (.xlsx), the text is the sheet that contains a table or,
+    without such a sheet, the first sheet. For a MATLAB file (.mat), the text contains the arrays; for a Parquet file
+    (.parquet), the columns of numbers. For recordings (MDF4, .mf4, and MCAP, .mcap), the text contains the channels.
 
     Raises:
-        InputError: the package for spreadsheets is not installed, or the file is too large. Also raised if several sheets
-            contain a table, or if a MATLAB or Parquet file contains no table.
+        InputError: the package for spreadsheets is not installed, or the file is too large. The error is also raised if several
+            sheets contain a table, or if a MATLAB or Parquet file contains no table.
     """
     suffix = path.suffix.lower()
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:
@@ -307,7 +315,7 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
     try:
-        with warnings.catch_warnings(action="ignore"):  # about two objects, which have the same name in SciPy
+        with warnings.catch_warnings(action="ignore"):  # SciPy warns if two objects have the same name
             return loadmat(BytesIO(content))
     except NotImplementedError as error:
         raise InputError("it is of version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
@@ -316,12 +324,12 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
-    """Finds the table in a text. It begins with the first line that has a number in a given column.
+    """Finds the table in a text. The table begins with the first line that has a number in a given column.
 
     Args:
         text: the text.
         give: required content of the file, for messages.
-        separator: separator from `SEPARATORS`; empty to detect it in that line.
+        separator: separator from `SEPARATORS`; empty to detect the separator in that line.
         column: number of this column, counted from 0.
 
     Raises:
@@ -343,7 +351,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
 
 def _split(line: str, separator: str) -> tuple[str, list[str]]:
-    """Returns the separator of a line, by default the detected separator, and the cells without comments."""
+    """Returns the separator of a line, which is detected by default, and the cells without comments."""
     numbers = _without_comment(line)
     marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
     splits = {mark: _trim_cells(_cells(numbers, mark)) for mark in marks}
@@ -352,7 +360,7 @@ def _split(line: str, separator: str) -> tuple[str, list[str]]:
 
 
 def _number(cell: str) -> float | None:
-    """Returns the number in a cell, with a decimal point or comma; None if the cell is not a number. NaN is a number here."""
+    """Returns the number in a cell, with a decimal point or comma; None if the cell is not a number. NaN counts as a number."""
     try:
         return float(cell if "." in cell else cell.replace(",", "."))
     except ValueError:
@@ -360,7 +368,7 @@ def _number(cell: str) -> float | None:
 
 
 def _maybe_unit(heading: Heading) -> bool:
-    """Returns True for a cell that may be on a line of units: empty, a known unit, or short like other units, such as V."""
+    """Returns True for a cell that may be on a line of units: an empty cell, a known unit, or a short word such as V."""
     return heading.name == "s" or (len(heading.name) <= LONGEST_UNIT and heading.quantity in ("", UNREAD))
 
 

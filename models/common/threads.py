@@ -54,7 +54,7 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # pieces taken per thread: one is running, one is waiting
+AHEAD = 2  # number of pieces that are taken per thread: one is running, and one is waiting
 
 Result = TypeVar("Result")
 Piece = Callable[[Callable[[], bool]], Result]  # the argument of a piece returns True if the work is to be abandoned
@@ -74,13 +74,13 @@ def side_by_side(
 ) -> Generator[tuple[int, Result]]:
     """Yields the number and the result of every piece of work, in the order of completion.
 
-    Pieces are taken when threads become free. Each piece runs in the Python context (`contextvars`) of the first call of
-    `next`. A caller that stops early must close the iterator, which abandons the running pieces and waits for them.
+    A thread takes the next piece when it becomes free. Each piece runs in the Python context (`contextvars`) of the first call
+    of `next`. A caller that stops early must close the iterator, which abandons the running pieces and waits for them.
 
     Args:
         pieces: pieces of work. Long pieces should come first, so that all threads end at about the same time.
         threads: number of threads.
-        abandon: function that ends what running pieces wait for; it is called if the work is abandoned.
+        abandon: function that is called if the work is abandoned, and ends whatever the running pieces wait for.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:

@@ -31,7 +31,7 @@ class Replacement:
 
 
 def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
-    """Returns a TOML text with replaced keys. A comment after a replaced key stays after the first new key.
+    """Returns a TOML text with replaced keys. A comment on the line of a replaced key stays on the line of the first new key.
 
     Raises:
         InputError: the text is not TOML, or the changed text would not have exactly the expected values.
@@ -63,7 +63,7 @@ def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:
     for replacement in replacements:
         (body, i), (outer, line) = _place(document.body, replacement.path)
         place, written = body[i][1].trivia, {key: toml_value(value) for key, value in replacement.values.items()}
-        if outer is not body:  # an inline table: the item of the first key contains the others
+        if outer is not body:  # for an inline table, the item of the first key contains the other keys
             name, *others = written
             written = {name: ", ".join([written[name], *(f"{_key(key)} = {written[key]}" for key in others)])}
         # tomlkit would take seconds to create the items of large matrices. A number whose text is the whole value takes no time.
@@ -82,7 +82,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
     Args:
         body: body of the document or of a table.
         path: names of the sections of the key, and of the key itself.
-        line: place of the item on whose line this body is; None for a body on its own lines.
+        line: place of the item on whose line this body is; None for a body with separate lines.
 
     Returns:
         Two places, each as a body and an index: the item of the key, and the item on whose line the key is.

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
-from fractions import Fraction  # so that 35 mm are 0.035 m, without rounding between
+from fractions import Fraction  # exact fractions, so that 35 mm is exactly 0.035 m without intermediate rounding
 from typing import Any
 
 from models.common.errors import InputError, short_repr
@@ -13,7 +13,7 @@ TIME = {"s": 1.0, "ms": 1e-3}
 VELOCITY = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "ft/s": 0.3048}
 FORCE = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605}
 MOMENT = {"N m": 1.0, "kN m": 1e3}
-# Sizes of units in SI, by powers of kg, m, s, A and K. Angles are pure numbers, so a frequency of 1 Hz is 2 pi rad/s.
+# Factors from units to SI units, by powers of kg, m, s, A and K. Angles are pure numbers, so a frequency of 1 Hz is 2 pi rad/s.
 SIZES: Mapping[tuple[int, ...], Mapping[str, float]] = {
     (1, 0, 0, 0, 0): {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
     (0, 1, 0, 0, 0): LENGTH,
@@ -43,9 +43,10 @@ WORDS: Mapping[str, str] = {  # other names of units, in lower case
 }  # fmt: skip
 # The last two characters are the micro sign and the Greek letter mu
 PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}
-PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")  # not the gram, because g is the acceleration
+# Units with prefixes; the gram is not among them, because g is the acceleration
+PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")
 COMMA = re.compile(r"\s*[+-]?\d*,\d")
-QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
+QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # pattern of a number with its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
 TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # products of units, as in N-s/m or kg.m2
@@ -60,7 +61,7 @@ def unit_named(text: str) -> str:
 def quantity(text: str, unit: str, what: str = "") -> float:
     """Converts a number with its unit, such as `70 mm` or `8Hz`, to another unit.
 
-    A number without a unit has the result's unit.
+    A number without a unit is already in the unit of the result.
 
     Args:
         text: the number, with or without a unit.
@@ -88,7 +89,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
 
 
 def unit_size(unit: str, si: str) -> float | None:
-    """Returns the size of a unit in an SI unit; None if the unit is unknown or of another dimension."""
+    """Returns the factor from a unit to an SI unit; None if the unit is unknown or has another dimension."""
     size, wanted = _size(unit), _size(si)
     return float(size[0] / wanted[0]) if size and wanted and size[1] == wanted[1] else None
 
@@ -130,9 +131,9 @@ def _example(unit: str) -> str:
 
 
 def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns the size of a unit in SI, and its powers of kg, m, s, A and K; None if the unit is unknown.
+    """Returns the factor from a unit to SI units, and the unit's powers of kg, m, s, A and K; None if the unit is unknown.
 
-    All factors after a slash are divisors.
+    Every factor after a slash is a divisor, as in N/m s.
     """
     size, powers = Fraction(1), (0, 0, 0, 0, 0)
     text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", TIMES.sub(" ", unit.translate(SIGNS)))  # as in N/(m/s)

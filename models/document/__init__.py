@@ -1,1 +1,1 @@
-"""Results as documents, and figures as data. Figures are drawn by matplotlib, or as SVG on a page."""
+"""Results as documents, and figures as data. Figures are drawn by matplotlib, or by a page as SVG."""

@@ -1,4 +1,6 @@
-"""A result as a document: statements, tables and figures under a title. Documents become text, pages, CSV and notebook output.
+"""A result as a document: statements, tables and figures under a title.
+
+A document can be written as text, as a page, as CSV and as notebook output.
 
 Every study has a function `describe` that returns the document of its result. A command prints the document
 (`models.document.text`). A report is a page of many documents (`models.document.page`), so commands and reports have the same
@@ -39,12 +41,13 @@ class Statement:
 
 @dataclass(frozen=True)
 class Pivot:
-    """A short form of a long table. It has a row for each combination of values in some columns.
+    """A short form of a long table.
 
-    The values of another column become columns.
+    The short form has a row for each combination of values in some columns, and a column for each value of another column.
 
     Attributes:
-        rows: headings of the columns whose values name a row. The cell of a column `unit` is added to the name in brackets.
+        rows: headings of the columns whose values form the name of a row. The cell of a column `unit` is added to the name in
+            brackets.
         across: heading of the column whose values become columns.
         values: headings of the numbers that are shown.
     """
@@ -64,7 +67,7 @@ class Table:
         headings: headings of the columns.
         rows: cells as text. The first cell of a row is its name.
         words: number of left-aligned text columns. Other columns are right-aligned numbers, except a last column `NOTE`.
-        pivot: short form for a page; None to show all columns whose cells differ.
+        pivot: short form of the table for a page; None to show all columns whose cells differ.
         detail: lowest level of detail at which the table is shown.
         wide: headings of columns for which a terminal has no room.
         keys: keys of the columns in JSON; empty if the keys are the headings.
@@ -133,17 +136,17 @@ class Document:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """All statements, including those of inner documents."""
+        """All statements, including the statements of inner documents."""
         return tuple(block for block in self.all() if isinstance(block, Statement))
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """All tables, including those of inner documents."""
+        """All tables, including the tables of inner documents."""
         return tuple(block for block in self.all() if isinstance(block, Table))
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """All figures, including those of inner documents."""
+        """All figures, including the figures of inner documents."""
         return tuple(block for block in self.all() if not isinstance(block, Statement | Table | Document))
 
     @property
@@ -158,7 +161,7 @@ def worst(statements: Iterable[Statement]) -> State:
 
 
 def notes(*texts: str, detail: Detail = "normal") -> tuple[Statement, ...]:
-    """Returns texts as statements that make no claim."""
+    """Returns statements with given texts that make no claim."""
     return tuple(Statement(text, detail=detail) for text in texts)
 
 
@@ -174,5 +177,5 @@ def is_shown(block: Block, detail: Detail) -> bool:
 
 
 def apart(*blocks: "Statement | Table | Document") -> tuple[Document, ...]:
-    """Returns each block as a document, so that an empty line precedes it on a terminal."""
+    """Returns each block as a separate document, so that an empty line precedes the block on a terminal."""
     return tuple(Document("", (block,), block.detail) for block in blocks)

@@ -1,4 +1,4 @@
-"""A quantity of a result: its name, unit, digits, and key in JSON. All outputs use this definition.
+"""A quantity of a result: its name, unit, digits, and key in JSON, for all forms of output.
 
 Quantities are the columns of a table, and the values of a `Record`.
 """
@@ -13,7 +13,7 @@ from models.common.printed import cell, finite
 
 T = TypeVar("T")
 Of = TypeVar("Of", contravariant=True)
-# Shown even in brief output; shown by default; shown only with -v, and folded on a page
+# Detail that is shown even in brief output, by default, or only with -v (folded on a page)
 Detail = Literal["brief", "normal", "full"]
 
 
@@ -95,7 +95,9 @@ def _value(get: "Field[T] | Value[T]", one: T) -> Any:
 
 
 class Record(Generic[T]):
-    """JSON object of a result: values by key. A record is a function of the result, so it can be a value of another record.
+    """JSON object of a result: values by key.
+
+    A record is called with the result, so one record can be a value in another record.
 
     None represents an infinite or missing number, and [real, imaginary] a complex number. An array becomes a list, and a
     dataclass becomes an object.
@@ -105,8 +107,8 @@ class Record(Generic[T]):
         """Prepares the object.
 
         Args:
-            parts: fields, names of attributes, records and functions. Fields without a key are omitted. The name of an
-                attribute is also its key. The keys of records and functions become keys of this object.
+            parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The
+                name of an attribute is also its key. The keys of records and functions become keys of this object.
             values: further values, after these parts: fields, functions, or names of attributes, such as "certificate.norm".
         """
         keyed = [
@@ -122,7 +124,7 @@ class Record(Generic[T]):
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a value for another record that contains objects of this record.
+        """Returns a value with which another record can contain objects of this record.
 
         Args:
             get: field, function or attribute that gives one result, or a list, tuple or mapping of results.
@@ -142,7 +144,7 @@ OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
-    """Returns a value for a record that omits its key if the value is None or empty."""
+    """Returns a value for a record; if the value is None or empty, the record omits the key."""
 
     def value(one: T) -> Any:
         found = get(one)
@@ -163,7 +165,7 @@ def plain(value: Any) -> Any:
         return [plain(one) for one in value]
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
-    values = getattr(value, "tolist", None)  # arrays and NumPy numbers have this method
+    values = getattr(value, "tolist", None)  # arrays and NumPy numbers have the method `tolist`
     return value if values is None else plain(values())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot", "longdash", "none"]
-# Hollow circle, square, triangle, diamond, triangle, pentagon; crosses
+# Markers: hollow circle, square, triangle, diamond, triangle and pentagon; crosses
 Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]
 
 
@@ -27,8 +27,8 @@ class Style(NamedTuple):
     marker: Marker
 
 
-# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can distinguish. The light colours are
-# darker here, for a contrast of 3 on white. Dash patterns are those of the paper.
+# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can distinguish. The light colours
+# are darker here, for a contrast of 3 on white. The dash patterns are the same as in the paper.
 BLACK, BLUE, VERMILLION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"
 PURPLE, ORANGE, SKY, GREY = "#c471a0", "#bd8200", "#3d97cc", "#6e6e6e"
 STYLES: dict[str, Style] = {
@@ -38,12 +38,13 @@ STYLES: dict[str, Style] = {
     "II": Style(GREEN, "solid", "D"),
 }
 OTHERS = (PURPLE, ORANGE, SKY, GREY, BLUE, VERMILLION, GREEN)
-DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # the next pattern is used when all colours are used
+# Dash patterns; the next pattern is used when all colours are used
+DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")
 POINTS: tuple[Marker, ...] = ("v", "p", "D", "s", "^", "o")
 
 
 def styles(names: tuple[str, ...]) -> dict[str, Style]:
-    """Returns colour, line style and marker of every controller: those of the paper, or the next unused ones.
+    """Returns colour, line style and marker of every controller: the style in the paper, or the next unused style.
 
     Args:
         names: names of all controllers, in order, so that a controller has the same style in every figure.
@@ -69,7 +70,7 @@ class Curve:
     Attributes:
         x: horizontal values, shape (N,).
         y: vertical values, shape (N,). NaN interrupts the line.
-        label: name in the legend; equal labels share an entry. Empty for no entry.
+        label: name in the legend; curves with equal labels share an entry. An empty label means no entry.
         name: name in the text alternative; by default, the label.
         color: colour as `#rrggbb`.
         dash: dash pattern of the line.
@@ -109,13 +110,13 @@ class Classes:
 
     @property
     def legend(self) -> list[tuple[str, str]]:
-        """Name and colour of the classes that occur and have a name."""
+        """Name and colour of each class that occurs in the map and has a name."""
         pairs = zip(self.names, self.colors, strict=True)
         return [pair for i, pair in enumerate(pairs) if pair[0] and np.any(self.kind == i)]
 
     @property
     def labels(self) -> list[tuple[str, int, int]]:
-        """Name, row and column of the innermost cell, for every class that has room for its name."""
+        """For every class that has room for its name: the name, and the row and column of the innermost cell."""
         entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)
@@ -138,7 +139,7 @@ class Bars:
 
     Attributes:
         names: names of the bars.
-        values: lengths of the bars, not negative, shape (N,); NaN for no bar.
+        values: lengths of the bars, at least 0, shape (N,); NaN for no bar.
         words: text at the end of each bar.
         colors: colours of the bars.
     """
@@ -239,7 +240,7 @@ class Entry(NamedTuple):
 def legend(figure: Figure) -> list[Entry]:
     """Returns one legend entry per label.
 
-    The classes of a panel precede its curves; line and points of one label share an entry.
+    The classes of a panel come before its curves. A line and points with the same label share an entry.
     """
     entries: dict[str, Entry] = {}
     for panel in figure.panels:
@@ -263,15 +264,15 @@ def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = float(joined.min()), float(joined.max())
     room = ROOM * (high - low)
-    if room <= 1e-9 * max(abs(low), abs(high)):  # only one value, or values that differ by rounding errors
+    if room <= 1e-9 * max(abs(low), abs(high)):  # there is only one value, or the values differ by rounding errors
         room = 0.1 * max(abs(low), abs(high)) or 1.0
     return low - room, high + room
 
 
 def drawn_indices(y: Array, every: int) -> Array:
-    """Returns the indices of the points of a line that are drawn, so that no peak is lost, however short it is.
+    """Returns the indices of the points to draw for a line, so that even the shortest peak remains visible.
 
-    From every 2 `every` points, the largest and the smallest are drawn; both ends of the line are drawn, too.
+    In each group of 2 `every` points, the largest and the smallest are drawn. Both ends of the line are also drawn.
 
     Args:
         y: values of the line, shape (N,), N at least 1.

@@ -13,7 +13,7 @@ POINTS = 400  # number of points over frequency
 def gain_figure(
     title: str, A: Array, B: Array, C: Array, D: Array, dt: float | None = None, levels: Mapping[str, float | None] | None = None
 ) -> Figure:
-    """Returns the figure of a system's largest singular value over frequency, in the range of its poles.
+    """Returns the figure of a system's largest singular value over frequency; the frequency range covers the poles.
 
     Args:
         title: description of the system.

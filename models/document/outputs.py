@@ -1,4 +1,4 @@
-"""Output files and folders of a command. They are checked before the work begins, and listed at the end."""
+"""Output files and folders of a command. The paths are checked before the work begins, and listed at the end."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,9 +9,9 @@ from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
 SUFFIXES = (".png", ".svg", ".pdf")  # suffixes of pictures
-OPTIONS = {"report": "out", "vehicle": "out"}  # options whose name differs from that of the output
+OPTIONS = {"report": "out", "vehicle": "out"}  # options whose name differs from the name of the output
 FOLDERS = ("logs", "figures", "certificates")
-ENDINGS = {  # allowed suffixes, and the reason
+ENDINGS = {  # allowed suffixes for each output, and the reason
     "picture": (SUFFIXES, "this kind of picture cannot be written"),
     "report": ((".html", ".htm"), "a report is HTML"),
     "csv": ((".csv",), "a table is written as CSV"),
@@ -30,13 +30,14 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
     """Checks that all outputs can be written, to different files. Leaves nothing behind.
 
     Args:
-        outputs: paths of csv, picture, report, save, vehicle, logs or figures; None for outputs that are not requested.
+        outputs: paths by type of output (csv, picture, report, save, vehicle, logs or figures); None for outputs that are not
+            requested.
         read: input files, under any of their names.
         json: True if standard output is reserved for one JSON object.
 
     Raises:
         InputError: an output cannot be written, has the suffix of another format, or is the same file as an input or as another
-            output. Also if a vehicle file would replace a file that no command has saved.
+            output. The error is also raised if a vehicle file would replace a file that no command has saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")
@@ -70,7 +71,10 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
 
 
 def _check_ending(path: Path, what: str) -> None:
-    """Refuses a suffix that does not match the output. For a link, its own suffix counts, not that of its target."""
+    """Refuses a suffix that does not match the output.
+
+    For a link, the suffix of the link is checked, not the suffix of its target.
+    """
     endings, why = ENDINGS[what]
     if path.suffix.lower() not in endings and not (path == STDOUT and what in TEXTS):
         raise InputError(f"{what} {path}: {why}; give a name that ends in {' or '.join(endings)}")

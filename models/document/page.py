@@ -47,7 +47,7 @@ class Page:
     Attributes:
         title: title of the page.
         summary: the first part: figures and tables, without a title.
-        sections: the other parts, in order.
+        sections: the parts after the summary, in order.
         headline: the answer in one line.
         verdicts: text of the verdict for each state.
         sketch: sketch of the vehicle at the top; None for a page without a sketch.
@@ -72,7 +72,7 @@ class Page:
 
     @property
     def state(self) -> State:
-        """The verdict on simulation against analysis: all claims hold, some end early, or some fail."""
+        """The verdict on the agreement of simulation and analysis: all claims hold, some end early, or some fail."""
         return worst([*self.answer, Statement("", "holds")])
 
     @property
@@ -82,7 +82,7 @@ class Page:
 
     @property
     def warnings(self) -> list[str]:
-        """The statements that do not hold throughout."""
+        """The statements that fail, or that hold only up to some point."""
         return [one.text for one in self.answer if one.state in ("ends", "fails")]
 
 
@@ -99,7 +99,7 @@ def render(page: Page) -> str:
     """Returns the page as one HTML document."""
     names = [one.name for one in page.whole.figures]
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
-        # The second figure would show the panels of the first
+        # Otherwise, the second figure would show the panels of the first figure
         raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")
     counts = Counter[str]()
 

@@ -1,6 +1,6 @@
 """Figures drawn by matplotlib without a display: as files, and as SVG in pages and notebooks.
 
-Lengths are in px. One px is 1/72 inch, so a font size in px equals the font size in points.
+Lengths are in px. Here, one px is 1/72 inch, so a font size has the same number in px and in points.
 """
 
 import os
@@ -24,11 +24,12 @@ from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, S
 from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrap_at_spaces
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
-SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # sizes of a panel and of the only panel in a file; width of a panel with bars
+# Size of a panel; size of a panel that is alone in a file; width of a panel with bars
+SIZE, WIDE, BARS = (400, 250), (600, 360), 260
 EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture and of a panel
 ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above; height of the bar; width of a line in a legend
 BOLD = 1.12  # width of bold letters relative to normal letters
-LONGEST = 24  # letters of a name in a legend
+LONGEST = 24  # most letters of a name in a legend
 FAR = 1e6  # replaces the infinite end of a span
 DASHES: dict[str, Any] = {
     "solid": "-",
@@ -65,7 +66,8 @@ def check_drawing() -> None:
 def _matplotlib() -> Any:
     """Returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
 
-    Figures of this module need no backend. A valid backend is still set for the windows of the caller's own figures.
+    The figures in this module do not need a backend. If the variable is valid, its backend still applies to windows with the
+    caller's own figures.
     """
     backend = "" if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", "")
     try:
@@ -82,7 +84,7 @@ def _matplotlib() -> Any:
 def _settings() -> Iterator[None]:
     matplotlib = _matplotlib()
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
-        # Ignores warnings: letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
+        # Warnings are ignored: if the font lacks a letter, a box is drawn, and an axis without numbers stays empty.
         warnings.simplefilter("ignore", UserWarning)
         yield
 
@@ -97,7 +99,7 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle in shares of the figure, measured from the lower left corner of the figure."""
+        """Returns a rectangle as fractions of the figure's width and height, measured from its lower left corner."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
@@ -120,7 +122,7 @@ class _Sheet:
 
 
 def write_picture(figure: Figure, *paths: Path) -> None:
-    """Writes a figure to every path, each as a complete file. Equal figures give equal bytes.
+    """Writes a figure to every path, each as a complete file. The same figure always gives the same bytes.
 
     Raises:
         InputError: the picture cannot be written.
@@ -209,7 +211,7 @@ def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
 
 
 def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int, int]) -> None:
-    """Draws a panel. Its upper left corner is at (left, top)."""
+    """Draws a panel. The upper left corner of the panel is at (left, top)."""
     if isinstance(panel.ground, Bars):
         _draw_bars(sheet, panel.ground, panel.xlabel, left, top)
         return
@@ -343,8 +345,8 @@ def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, w
         sheet.write(left + width * (first + last) / 2, y, cut(name, width, FONT), ha="center")
 
 
-# SVG in a page: text stays text, and numbers have two decimals. Presentation attributes replace styles, because the page's policy
-# refuses styles. Only identifiers that are referred to remain.
+# SVG in a page: text stays text, and numbers have two decimals. Presentation attributes are used instead of styles, because the
+# page's security policy forbids inline styles. Identifiers that nothing refers to are removed.
 
 MARK = "\0"
 STYLE = re.compile(r' style="([^"]*)"')
@@ -370,7 +372,7 @@ def panel_svg(panel: Panel, name: str) -> str:
 
 
 def key_svg(entry: Entry, name: str) -> str:
-    """Returns the legend entry's line, marker or patch as an `svg` element that screen readers skip."""
+    """Returns the line, marker or patch of a legend entry as an `svg` element that screen readers skip."""
     drawn = _key_inside(Entry("", *entry[1:])).replace(MARK, f"key-{name}-")
     return f'<svg class="plot" viewBox="0 0 {KEY} 14" aria-hidden="true">{drawn}</svg>'
 

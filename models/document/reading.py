@@ -1,4 +1,4 @@
-"""Tables and sentences for readers: short, aligned and in one notation. Data in CSV and JSON are not changed."""
+"""Tables and sentences for readers: short, aligned and in one notation. The data in CSV and JSON output are not changed."""
 
 import csv
 import re
@@ -21,11 +21,11 @@ NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
 UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # keeps a number on the same line as its unit
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED_SECONDS = re.compile(r"\b(m|rad)/s2\b")
-LONG = 28  # letters; a longer remark that occurs in several rows becomes a footnote
-BLANK = "\u2004"  # about as wide as a mark
+LONG = 28  # letters of a remark; a longer remark that occurs in several rows becomes a footnote
+BLANK = "\u2004"  # a space that is about as wide as a footnote mark
 DIGIT, POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a decimal point
-MANY = 10  # rows; a longer table is folded
-LONG_NAME = 16  # letters; a line may break within longer names
+MANY = 10  # number of rows; a table with more rows is folded
+LONG_NAME = 16  # letters of a name; a line may break within longer names
 # A name ends at a space or at a punctuation mark other than - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
@@ -58,7 +58,7 @@ def notation(text: str) -> str:
 
 
 def _power(one: re.Match[str]) -> str:
-    """Returns a number with an exponent, such as 1.4·10⁻³; without the power if the exponent is 0."""
+    """Returns a number with an exponent, such as 1.4·10⁻³; the power of ten is omitted if the exponent is 0."""
     power = f"·10{str(int(one[2])).translate(SUPERSCRIPT)}" if int(one[2]) else ""
     return f"{one[1]}{power}" if float(one[1]) else "0"
 
@@ -74,7 +74,7 @@ def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
 
 
 def pivot_table(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:
-    """Returns the headings and the rows of a table's short form, and the number of columns that name a row."""
+    """Returns the headings and rows of a table's short form, and the number of columns that form the name of a row."""
     at = {heading: i for i, heading in enumerate(headings)}
     names = [heading for heading in pivot.rows if heading != "unit"]
     across = dict.fromkeys(row[at[pivot.across]] for row in rows)
@@ -141,7 +141,10 @@ def _with_footnotes(column: Sequence[str], marks: Iterable[str], notes: dict[str
 
 
 def align_numbers(column: Sequence[str]) -> list[str]:
-    """Returns numbers with aligned decimal points, by figure spaces. A column with a word other than "-" is unchanged."""
+    """Returns numbers that are padded with figure spaces, so that the decimal points are aligned.
+
+    A column with a word other than "-" is unchanged.
+    """
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
         return list(column)
@@ -174,8 +177,8 @@ def page_text(text: str) -> str:
     """Returns a text as HTML. Text in backticks becomes a `code` element.
 
     Lines may break in long names, which become `bdi` elements. Names that are written from right to left also become `bdi`
-    elements. Without these, they would reverse the order of adjacent numbers and commas (Unicode Bidirectional Algorithm, UAX
-    #9).
+    elements, which isolate them from the text around them. Without `bdi` elements, such names would reverse the order of
+    adjacent numbers and commas (Unicode Bidirectional Algorithm, UAX #9).
     """
     return re.sub("`([^`]+)`", r"<code>\1</code>", NAME.sub(_apart, escape(text)))
 

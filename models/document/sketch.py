@@ -1,6 +1,6 @@
 """Sketches of vehicles as SVG: a body on springs, dampers and actuators above wheels, tyres and a road.
 
-Each sketch has a text alternative.
+Every sketch has a text alternative for screen readers.
 
 Lines and letters have the colour of the surrounding text, so a sketch is legible on light and dark pages.
 """
@@ -20,7 +20,8 @@ SYMBOL = re.compile(r"([A-Za-z])(?:_(\w+))?")
 # Distances between parts of a strut and between struts, margin, and width of the computer
 ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112
 AHEAD = 120  # additional length of a road that is not flat
-BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60  # vertical positions, increasing downwards
+# Vertical positions of body, hub, road and lower margin, increasing downwards
+BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60
 LETTERS = 9  # number of letters for which a box between body and wheel has room
 SEAT, ABOVE = (-62, -36), 66  # vertical positions of a seat's mass, and additional height of a drawing with a seat
 
@@ -111,7 +112,7 @@ def symbol_html(symbol: str) -> str:
 
 
 def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alone: bool = False) -> str:
-    """Returns a sketch as an SVG element. Its rows are the text alternative.
+    """Returns a sketch as an SVG element. The rows of the sketch are its text alternative.
 
     Args:
         sketch: the sketch.
@@ -169,7 +170,7 @@ def _view(view: View, road: Callable[[float], float] | None) -> Iterator[str]:
 
 
 def _strut(strut: Strut, x: float, lift: float) -> Iterator[str]:
-    """Yields a suspension and its wheel, lifted by the road height `lift`."""
+    """Yields the SVG elements of a suspension and its wheel, lifted by the road height `lift`."""
     top, low, road = HUB[0] - lift, HUB[1] - lift, GROUND - lift
     for parts, ends, right in ((strut.parts, (BODY[1], top if strut.mass else road), 6), (strut.tyre, (low, road), 0)):
         for k, (kind, symbol) in enumerate(parts):
@@ -182,7 +183,7 @@ def _strut(strut: Strut, x: float, lift: float) -> Iterator[str]:
 
 
 def _part(kind: str, symbol: str, x: float, top: float, low: float) -> Iterator[str]:
-    """Yields a spring, a damper, a force or a named box between two vertical positions."""
+    """Yields the SVG elements of a spring, damper, force or named box between two vertical positions."""
     middle, reach = (top + low) / 2, (low - top) / 2 - 6
     if kind == "box":
         name = symbol if len(symbol) <= LETTERS else f"{symbol[: LETTERS - 1]}…"
@@ -210,7 +211,7 @@ def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) ->
 
 
 def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
-    """Returns a text centred at x. In symbols, the part after _ is a subscript."""
+    """Returns a text centred at x. In a symbol, the part after the underscore is a subscript."""
     if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
         text = SYMBOL.sub(_subscript, text)
     else:

@@ -12,9 +12,9 @@ from models.document.document import NOTE, Block, Detail, Document, Statement, T
 
 HANG = 6  # spaces before a remark below its row
 HEADING = 3  # largest number of lines in a heading
-LONG = 10  # rows of a long table; its columns move closer before a heading gets a third line
-CHANGE = " change [%]"  # end of the heading of a column with the changes of the numbers in the column before
-BEST = "*"  # follows the best number of a column
+LONG = 10  # rows of a long table; in a long table, columns move closer together before a heading gets a third line
+CHANGE = " change [%]"  # end of a heading if the column contains the changes of the numbers in the preceding column
+BEST = "*"  # mark after the best number of a column
 
 
 def names_text(names: Iterable[str]) -> str:
@@ -28,9 +28,9 @@ def join_words(words: list[str]) -> str:
 
 
 def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
-    """Returns the lines of a document for a terminal: its title, then its blocks. Inner documents follow an empty line.
+    """Returns the lines of a document for a terminal: its title, then its blocks. An empty line precedes every inner document.
 
-    Figures are omitted. Statements and tables are indented below a title; without a title, a table follows an empty line.
+    Figures are omitted. Below a title, statements and tables are indented. Without a title, an empty line precedes a table.
     """
     lines, before = [document.title] if document.title else [], None
     indent = GAP if document.title else ""
@@ -50,7 +50,8 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
 def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) -> list[str]:
     """Returns the lines of a document at a level of detail that suits the terminal.
 
-    If `verbose`, all lines are returned. Otherwise the normal lines are returned, or the brief ones if a terminal has no room.
+    If `verbose`, all lines are returned. Otherwise, the function returns the normal lines, or the brief lines if a terminal has
+    no room for the normal lines.
 
     Args:
         document: the document.
@@ -66,9 +67,9 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
     """Returns the lines of a table for a terminal.
 
-    If there is no room, headings are wrapped, and headings of changes are shortened to "%". If several rows have the same name,
-    this name is on a line of its own, and the rows follow indented. Remarks of a last column `NOTE` are to the right of their
-    row, or below it.
+    If the table is too wide, headings are wrapped, and headings of columns with changes are shortened to "%". If several rows
+    have the same name, the name is on a separate line above these rows, which are indented. If the last column is `NOTE`, its
+    remarks are to the right of their rows or below them.
     """
     columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
     remarks: Sequence[str] = ()
@@ -102,14 +103,14 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
 
 
 def _align_column(column: Sequence[str]) -> list[str]:
-    """Returns a column of numbers, aligned even if some of them have the mark of the best number."""
+    """Returns a column of numbers that are aligned even if some of them have the mark of the best number."""
     heading, *numbers = column
     marked = any(cell.endswith(BEST) for cell in numbers)
     return [heading, *(f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers)]
 
 
 def _heading(text: str, most: int) -> list[str]:
-    """Returns a heading in at most `most` lines, as narrow as possible. Its unit is not broken."""
+    """Returns a heading in at most `most` lines, as narrow as possible. The unit in the heading is not broken."""
     glued = text.replace("] ", f"]{GLUE}")
     broken = (textwrap.wrap(glued, width, break_long_words=False, break_on_hyphens=False) for width in range(1, len(text) + 1))
     return [line.replace(GLUE, " ") for line in next(lines for lines in broken if len(lines) <= most)]
@@ -130,7 +131,10 @@ def markdown(document: Document, level: int = 2) -> str:
 
 
 class ShownResult:
-    """Result that a Python prompt shows as text, and a notebook as HTML. A dataclass of this type must set `repr=False`."""
+    """Base class of results that a Python prompt shows as text, and a notebook as HTML.
+
+    A dataclass of this type must set `repr=False`.
+    """
 
     @property
     def summary(self) -> Document:
@@ -149,7 +153,7 @@ class ShownResult:
         page = FEATURES.load("pages")
         try:
             page.check_page()
-        except InputError:  # the notebook then shows the text
+        except InputError:  # if the HTML cannot be created, the notebook shows the text
             return None
         document = self.summary
         return page.fragment(replace(document, blocks=(*document.blocks, *self.figures)))

@@ -1,4 +1,4 @@
-"""A vehicle seen at its wheels: linear model with forces at the wheels, effect of suspension forces, and rates at the wheels."""
+"""Quantities of a vehicle at its wheels: linear model with forces at the wheels, effect of suspension forces, and rates."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from models.kinds.linear_model import LinearModel
 
 
 def wheel_model(kind: VehicleKind, parameters: Parameters) -> LinearModel:
-    """Returns the linear model whose inputs are forces at the wheels: actuator forces times their motion ratios."""
+    """Returns the linear model whose inputs are forces at the wheels, each an actuator force times its motion ratio."""
     return kind.model(kind.at_wheels(parameters))
 
 
@@ -21,7 +21,7 @@ def force_effects(kind: VehicleKind, parameters: Parameters, deflections: Sequen
     of its spring or damper parameter.
 
     Returns:
-        Effects of e forces on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e).
+        Effects of e suspension forces on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e).
     """
     model, parameters = wheel_model(kind, parameters), kind.at_wheels(parameters)
     suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}

@@ -1,4 +1,4 @@
-"""Vehicle types with a rigid body on several corners: everything that follows from the body and the names of its corners."""
+"""Vehicle types with a rigid body on several corners, derived from the body and the names of its corners."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ class Car:
     """The functions of a vehicle type with a rigid body.
 
     Attributes:
-        body: function of the parameters: the rigid body.
+        body: function of the parameters that returns the rigid body.
         corners: names of the corners: an axle, a side, or an axle and a side.
         tyres: signals of the tyre deflections that are states.
-        rates: signals of the body's velocities.
+        rates: signals of the velocities of the body.
         accelerations: signals of the body's accelerations.
     """
 
@@ -104,7 +104,7 @@ class Car:
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
         """Returns the loads that links and wheel inertia add to the moment of a force on the body, by name [N, N m].
 
-        Arguments are those of `links.carried_loads`.
+        For the arguments, see `links.carried_loads`.
         """
         return links.carried_loads(p, self.corners, way, force, acceleration)
 
@@ -120,7 +120,10 @@ class Car:
         combined: Mapping[str, Mapping[str, float]] | None = None,
         lacking: Mapping[str, str] | None = None,
     ) -> VehicleKind:
-        """Returns the vehicle type. `check` refuses an impossible body; the other arguments are those of `VehicleKind`."""
+        """Returns the vehicle type.
+
+        The argument `check` is a function that refuses an impossible body; for the other arguments, see `VehicleKind`.
+        """
         sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
         rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
         return VehicleKind(

@@ -33,7 +33,7 @@ class Variation(CheckedFields):
     """Range of a parameter over a family of vehicles, relative to the vehicle for which a controller is designed.
 
     Attributes:
-        name: name of the varied quantity, as text. Parameters with the same variation vary together.
+        name: name of the varied quantity, as text. Parameters with the same `Variation` vary together.
         smallest: smallest factor on the parameter, above 0 and at most 1.
         largest: largest factor on the parameter, at least 1.
 
@@ -67,12 +67,12 @@ class Parameter(CheckedFields):
         unit: SI unit.
         meaning: description in one line.
         positive: True if 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
-        varied: accepted for vehicle types that were written for earlier versions; has no effect.
+        varied: argument without effect, which vehicle types written for earlier versions may still contain.
         largest: largest allowed value.
         usual: default value; None for a parameter without a default.
-        smallest: smallest allowed value; None for 0, or for the smallest positive value if `positive` is True.
-        optional: True if a vehicle file may omit the parameter. A missing parameter has its own meaning, different from any
-            value.
+        smallest: smallest allowed value; None means 0 or, if `positive` is True, the smallest positive value.
+        optional: True if a vehicle file may omit the parameter. A vehicle without the parameter differs from a vehicle with any
+            value of the parameter.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Parameter(CheckedFields):
 
     @property
     def number(self) -> SI:
-        """Unit, meaning and range of the parameter, in the form of a key of a section."""
+        """Unit, meaning and range of the parameter, as for a key of a section."""
         least = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         return SI(self.unit, self.meaning, least, self.largest)
 
@@ -117,17 +117,18 @@ def is_number(value: Any) -> bool:
 
 
 HERE = Path(__file__).parent.parent  # folder of the built-in vehicle types
-GRAVITY = 9.81  # m/s2, written into every MJCF
-MOST_SQUEEZE = 0.25  # m, largest static tyre deflection; no tyre survives more
-# Smallest height of a hub above the road in equilibrium [m]. It is larger than MOST_SQUEEZE, because a tyre deflection may exceed
-# that limit before a time step ends.
+GRAVITY = 9.81  # gravitational acceleration [m/s2], which is written into every MJCF
+MOST_SQUEEZE = 0.25  # largest allowed static tyre deflection [m]; real tyres have smaller deflections
+# Smallest height of a hub above the road in equilibrium [m]. This height is larger than MOST_SQUEEZE, because a tyre deflection
+# may exceed MOST_SQUEEZE before a time step ends.
 LOWEST_HUB = 0.26
-MOST_KEPT = 16  # number of linear models that a vehicle type caches, because a study needs the same vehicle many times
+MOST_KEPT = 16  # number of linear models that a vehicle type caches, because a study uses the same vehicle many times
 
 SEAT_POINTS = {
     "seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"
 }  # `lacking` of built-in vehicle types
-NEGLIGIBLE_ACCELERATION = 1e-12  # relative to the largest acceleration due to a force; smaller values are rounding errors
+# Accelerations below this value, relative to the largest acceleration due to a force, are rounding errors
+NEGLIGIBLE_ACCELERATION = 1e-12
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
@@ -135,12 +136,12 @@ Parameters = Mapping[str, float]
 
 # The default functions of a vehicle type have names, because pickle cannot find functions without a name.
 def nowhere_else(p: Parameters) -> float:
-    """Returns 0 m: the wheel is at the longitudinal position of the first wheel, or on the vehicle's centre line."""
+    """Returns 0 m, for a wheel at the longitudinal position of the first wheel, or on the vehicle's centre line."""
     return 0.0
 
 
 def nothing(*_: Any) -> Any:
-    """Returns an empty mapping: no loads and no angles, and no error from a check."""
+    """Returns an empty mapping, for a vehicle type without loads, angles or checks."""
     return {}
 
 
@@ -152,7 +153,7 @@ class Wheel(CheckedFields):
         road_body: MJCF mocap body of the road under this wheel.
         road_displacement: signal of the road height under this wheel.
         road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
-        tyre_deflection: signal of the tyre's deflection.
+        tyre_deflection: signal of the tyre deflection.
         behind: function of the parameters: distance behind the first wheel [m].
         side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
         lateral: function of the parameters: distance to the left of the vehicle's centre line [m].
@@ -190,7 +191,7 @@ class Suspension(CheckedFields):
 
     Attributes:
         deflection: signal of the suspension's extension.
-        tendon: name of the MJCF tendon. The bump stop is parallel to this tendon.
+        tendon: name of the MJCF tendon of the suspension. A bump stop acts in parallel with this tendon.
         force: name of the input that acts along the suspension; empty for a passive suspension.
         stiffness: name of the parameter of the spring; empty without a spring. A characteristic can replace the parameter.
         damping: name of the parameter of the damper; empty without a damper. A characteristic can replace the parameter.
@@ -212,7 +213,7 @@ class Suspension(CheckedFields):
 
     @property
     def ending(self) -> str:
-        """Suffix of the names of signals and parameters at the corner of this suspension."""
+        """Suffix in the names of signals and parameters at the corner of this suspension."""
         return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
 
     @property
@@ -235,7 +236,7 @@ class BodyLoad(CheckedFields):
     Attributes:
         name: name of the load in the linear model: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...`
             [N].
-        joint: slide or hinge joint of the MJCF along which the load acts. Both have the same positive direction.
+        joint: slide or hinge joint of the MJCF along which the load acts. Load and joint have the same positive direction.
     """
 
     name: str
@@ -266,7 +267,7 @@ class RidePoints:
     """Signals of the vertical accelerations at which the ride is measured.
 
     Attributes:
-        people: points with a person: those that the vehicle type names, otherwise the masses above the body; may be empty.
+        people: points with a person. If the vehicle type does not name them, these are the masses above the body. May be empty.
         others: other points of the body.
         named: True if the vehicle type names its points with a person.
     """
@@ -277,12 +278,12 @@ class RidePoints:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All points, those with a person first."""
+        """All points; the points with a person are first."""
         return (*self.people, *self.others)
 
     @property
     def worst_of(self) -> tuple[str, ...]:
-        """Points that determine the ride of the vehicle: those with a person, or all points if there is no person."""
+        """Points that determine the ride of the vehicle: the points with a person or, if there is no person, all points."""
         return self.people or self.others
 
 
@@ -290,7 +291,7 @@ class RidePoints:
 class VehicleKind(CheckedFields):
     """Vehicle type: equations of motion, parameters, signals and MuJoCo model.
 
-    Every function below takes the parameters as a mapping from name to SI value.
+    All functions in the list of attributes take the parameters as a mapping from name to SI value.
 
     Attributes:
         name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
@@ -298,8 +299,8 @@ class VehicleKind(CheckedFields):
         signals: signals that every vehicle of the type has: outputs of the linear model, and sensors of the MJCF with the same
             names.
         wheels: wheels in the order of the linear model's disturbances.
-        linear_model: function of the parameters: `LinearModel` of all signals, including those on demand. `model` returns the
-            model of a vehicle.
+        linear_model: function of the parameters: `LinearModel` of all signals, including the signals on demand. The method
+            `model` returns the model of a vehicle.
         static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
             signal. A wheel leaves the ground if its tyre deflection (`DampedTyre`: the equivalent deflection) exceeds this
             value.
@@ -308,31 +309,31 @@ class VehicleKind(CheckedFields):
         folder: folder of the `.xml` file.
         check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
             vehicle in combination.
-        combined: signals without a sensor that are sums of other signals, as {name: {other signal: factor}}.
-        suspended: suspensions of the type. None for one suspension per signal `suspension_deflection...`, with the tendon
-            `suspension...` and, if it exists, the force `control_force...` with the same suffix.
+        combined: signals without a sensor that are weighted sums of other signals, as {name: {other signal: factor}}.
+        suspended: suspensions of the type. None means: there is one suspension for each signal `suspension_deflection...`. Its
+            tendon `suspension...` and, if it exists, its force `control_force...` have the same suffix.
         invariants: transmissibilities that no suspension force can change.
-        on_demand: signals that a vehicle has only if its file names them. They are outputs and sensors like the other signals,
-            but cost no computing time if they are not named.
-        loads: external loads on the body, in the order of the linear model's loads. Loads on wheels follow, if the vehicle has
-            such loads.
+        on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
+            signals, but take no computing time if the file does not name them.
+        loads: external loads on the body, in the order of the linear model's loads. If the vehicle has loads on its wheels, the
+            linear model contains them after these loads.
         wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
             file describes them.
         carried: function that returns the loads that suspension links and wheel inertia add to the moment of a force on the
-            body. Its arguments are the parameters, the direction, the force [N] and the acceleration of the wheels [m/s2]. The
-            direction is `roll_load` for a force to the right, or `pitch_load` for a forward force.
+            body. The arguments of this function are the parameters, the direction, the force [N] and the acceleration of the
+            wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
         angles: function of the parameters: angles of the body relative to level ground [rad] as sums of signals. The result has
             the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
-        motion: function of the parameters: exact equations of motion, independent of the MJCF. None if the type has no exact
-            equations; MuJoCo is then compared only with the linear model.
+        motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
+            has no exact equations; MuJoCo is then compared only with the linear model.
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
-            Only in the type of a vehicle with such ratios.
-        people: signals of the accelerations [m/s2] at points with a person, the most important point first. None for the masses
-            above the body, if there are any; empty for no person.
-        of_parts: signals of the own states of force elements. They belong to `signals`, but have no sensors. Only in the type
-            of a vehicle with such elements.
-        lacking: parameters that a user may expect but the type does not have, as {beginning of the name: reason}.
+            Empty unless the type belongs to a vehicle with such ratios.
+        people: signals of the accelerations [m/s2] at points with a person, the most important point first. None means the
+            masses above the body, if there are any. An empty tuple means that there is no person.
+        of_parts: signals of the own states of force elements. These signals are also part of `signals`, but have no sensors.
+            Empty unless the type belongs to a vehicle with such elements.
+        lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.
     """
 
     name: str
@@ -360,7 +361,7 @@ class VehicleKind(CheckedFields):
     of_parts: tuple[Signal, ...] = ()
 
     def __repr__(self) -> str:
-        """Returns the name, and the numbers of parameters, signals and wheels."""
+        """Returns a text with the name of the type, and its numbers of parameters, signals and wheels."""
         return (
             f"VehicleKind {self.name}: {len(self.parameters)} parameters, {len(self.signals)} signals, {len(self.wheels)} wheels"
         )
@@ -368,15 +369,15 @@ class VehicleKind(CheckedFields):
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
         if self.folder == HERE:
             return super().__reduce_ex__(protocol)
-        import cloudpickle  # functions of a custom vehicle type belong to no importable module
+        import cloudpickle  # the functions of a custom vehicle type are not in an importable module
 
         return _from_pickle, (cloudpickle.dumps({part.name: getattr(self, part.name) for part in fields(self)}),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "VehicleKind":
-        return self  # the object is frozen
+        return self  # the object cannot change, so no copy is needed
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
-        """Returns the vehicle type with those signals on demand that are named, after its other signals."""
+        """Returns the vehicle type with the named signals on demand after its other signals."""
         more = [*self.possible.values()][len(self.signals) :]
         named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
@@ -385,7 +386,7 @@ class VehicleKind(CheckedFields):
         """Returns the vehicle type with other signals of the own states of force elements.
 
         Args:
-            of_parts: signals of the own states. They replace the present signals of own states.
+            of_parts: signals of the own states, which replace the present ones.
 
         Raises:
             InputError: the name of a new signal is already used.
@@ -401,7 +402,7 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def possible(self) -> dict[str, Signal]:
-        """All signals that a vehicle of the type can have, by name: its own, those on demand, and suspension velocities."""
+        """All signals that a vehicle of the type can have, by name, including signals on demand and suspension velocities."""
         velocities = (part.velocity for part in self.suspensions)
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
@@ -413,7 +414,8 @@ class VehicleKind(CheckedFields):
     @cached_property
     def unnamed(self) -> tuple[str, ...]:
         """Names of the signals on demand that vehicles of this type do not have."""
-        known = set(self.signals)  # comparing the signals one by one would take longer than compiling a model
+        # Comparing signals with a set is fast; comparing them one by one would take longer than compiling a model
+        known = set(self.signals)
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 
     def at_wheels(self, parameters: Parameters) -> Parameters:
@@ -485,7 +487,7 @@ class VehicleKind(CheckedFields):
     def full_model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with all possible signals and with all elements at their motion ratios.
 
-        The signals include those on demand, and the suspension velocities that `linear_model` does not return.
+        The signals include the signals on demand, and the suspension velocities that `linear_model` does not return.
         """
         at_wheels = self.at_wheels(parameters)
         model = self.linear_model(at_wheels)
@@ -532,10 +534,11 @@ class VehicleKind(CheckedFields):
         return f"{parameter}{ending}" if f"{parameter}{ending}" in names else ""
 
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
-        """Returns the invariants of a vehicle: those of its type, but none if a tyre has damping.
+        """Returns the invariants of a vehicle, which are those of its type; there are none if a tyre has damping.
 
-        Without damping, m_u s^2 + k = 0 at one frequency, at which the suspension force does not change the transmissibility.
-        With tyre damping, m_u s^2 + c s + k is not zero at any frequency.
+        For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At this
+        frequency, the suspension force does not change the transmissibility. With the tyre damping c, m_u s^2 + c s + k is not
+        zero at any frequency.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 
@@ -588,8 +591,8 @@ class VehicleKind(CheckedFields):
         """Returns all parameters in the order of the vehicle type, after checking each one and their combination.
 
         Raises:
-            InputError: any error of `check_each`, or the combination is not a valid vehicle. Also raised if a tyre is fully
-                compressed or has no contact with the road in equilibrium.
+            InputError: any error of `check_each`, or the combination is not a valid vehicle. The error is also raised if a tyre
+                is fully compressed, or has no contact with the road, in equilibrium.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)

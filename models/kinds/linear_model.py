@@ -2,14 +2,15 @@
 
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
-with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). In the
-paper, and if the body can follow every motion of the wheels, Br and Cr are zero, so only the road velocity acts. Under four
-wheels, the warp of the road acts as a displacement.
+with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). Br and
+Cr are zero in the paper, and for every body that can follow all motions of the wheels. In these cases, only the road velocity
+acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a displacement.
 
-The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how it changes deflections, independent of all forces.
-The matrix Bt describes how it pushes the wheels through tyres with damping, and Dw describes the effect on accelerations. With
-tyre damping, a vertical edge of the road is an impulse on the wheel. If the road height is held over a step, deflections change
-between steps, and the mean road velocity of the step pushes the wheels within it.
+The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how the road velocity changes deflections, independent
+of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres with damping. Dw describes the
+effect on accelerations. With tyre damping, a vertical edge of the road is an impulse on the wheel. If the road height is held
+over each time step, the direct effect J changes the deflections between steps. Within a step, the mean road velocity of the
+step pushes the wheels.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -46,7 +47,7 @@ class LinearModel:
         Bt: part of Bw that acts through the damping of tyres, shape (n, r); zero by default.
         Dw: gain from the road velocities to the output signals, shape (p, r); zero by default.
         heights: names of output signals that are heights above a flat datum. The state contains only deflections, so these
-            heights depend on the state and, through Cr, on the road height.
+            heights depend on the state and, through Cr, on the road heights.
 
     Raises:
         InputError: a matrix does not fit the names or is not finite, or the names are not distinct texts.
@@ -117,7 +118,7 @@ class LinearModel:
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns those of the given signals that are heights above a flat datum. Only a law for a study may measure them."""
+        """Returns the given signals that are heights above a flat datum. Only a law for a study may measure them."""
         return [name for name in self.heights if name in signals]
 
     @property
@@ -127,15 +128,15 @@ class LinearModel:
 
     @property
     def jump(self) -> Array:
-        """J, direct effect of the road height on the states, shape (n, r).
+        """Matrix J: the direct effect of the road height on the states, shape (n, r).
 
-        At a step of a held road, x - J z_r is continuous.
+        If a held road height changes suddenly, x - J z_r is continuous.
         """
         return self.Bw - self.Bt if self.tyres_damp else self.Bw
 
     @property
     def Bh(self) -> Array:
-        """Effect on x' of the quantities that are held over a step: loads and, if tyres have damping, road velocities.
+        """Effect on x' of the quantities that are held over a time step: loads and, if tyres have damping, road velocities.
 
         The shape is (n, l), or (n, l + r) with tyre damping.
         """
@@ -143,7 +144,7 @@ class LinearModel:
 
     @property
     def Dh(self) -> Array:
-        """Effect of the quantities that are held over a step on the output signals, shape (p, l) or (p, l + r); see `Bh`."""
+        """Effect on the output signals of the quantities that are held over a time step, shape (p, l) or (p, l + r); see `Bh`."""
         return np.hstack([self.Dl, self.Dw]) if self.tyres_damp else self.Dl
 
     def of(self, outputs: Collection[str]) -> "LinearModel":
@@ -156,7 +157,7 @@ class LinearModel:
     def has_rate(self, output: str) -> bool:
         """Returns True if the time derivative of an output signal is a function of state, road height and forces.
 
-        This requires that neither a force nor the road velocity acts directly on the signal.
+        The result is True if neither a force nor the road velocity acts directly on the signal.
         """
         i = self.outputs.index(output)
         return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))
@@ -184,8 +185,8 @@ class LinearModel:
         """Returns the model with integrals of sums of output signals as additional states and outputs.
 
         Args:
-            integrals: factors of the signals in each sum, by the name of the integral. The sums must not depend on the road
-                height.
+            integrals: factors of the signals in the sum that is integrated, by the name of the integral. The sums must not
+                depend on the road height.
         """
         if not integrals:
             return self
@@ -199,8 +200,8 @@ class LinearModel:
 
         Args:
             names: names of the additional states.
-            rates: gains from the states to the rates of the additional states: from the states of this model, shape (k, n), or
-                from all states, shape (k, n + k).
+            rates: gains from the states to the rates of the additional states. The shape is (k, n) for gains from the states of
+                this model, or (k, n + k) for gains from all states.
             more: rows of B, Bw, Bt, Br and Bl for the additional states; zero by default.
         """
         k, n = len(names), len(self.A)
@@ -220,7 +221,8 @@ class LinearModel:
         """Returns the model with additional springs and dampers along e lengths, f = k d + c d'.
 
         Args:
-            rows: gains from the states to the lengths, shape (e, n). Neither the road nor a force may act on them directly.
+            rows: gains from the states to the lengths, shape (e, n). Neither the road nor a force may act directly on the
+                lengths.
             push: effect on x' of forces that pull along the lengths, shape (n, e).
             shown: effect of these forces on the outputs, shape (p, e).
             stiffness: k [N/m], shape (e,).
@@ -230,14 +232,14 @@ class LinearModel:
         return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
 
     def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
-        """Returns the model with additional inerters along e lengths, f = b d'', in parallel with all its forces.
+        """Returns the model with additional inerters along e lengths, f = b d'', in parallel with its other forces.
 
-        With d' = S x and the effect E of the forces, the inerters give the force p = b S (x' + E p) = (1 - b S E)^-1 b S x',
-        where x' is the rate without inerters.
+        Let the lengths have the rates d' = S x, and let E be the effect of forces along the lengths. Then the inerters give the
+        force p = b S (x' + E p) = (1 - b S E)^-1 b S x', where x' is the rate without inerters.
 
         Args:
-            speeds: S, gains from the states to the rates of the lengths, shape (e, n).
-            push: E, effect on x' of forces that pull along the lengths, shape (n, e).
+            speeds: matrix S of gains from the states to the rates of the lengths, shape (e, n).
+            push: matrix E of effects on x' of forces that pull along the lengths, shape (n, e).
             shown: effect of these forces on the outputs, shape (p, e).
             inertance: b [kg], shape (e,).
         """
@@ -252,7 +254,7 @@ class LinearModel:
         return replace(self, Bw=self.Bw + push @ (of_rates @ self.Bw), **moved)
 
     def geared(self, ratios: Array) -> "LinearModel":
-        """Returns the model whose inputs act on the vehicle multiplied by a motion ratio each, shape (m,).
+        """Returns the model in which every input is multiplied by its motion ratio, shape (m,), before it acts on the vehicle.
 
         Output signals that are control forces are not multiplied.
         """
@@ -264,10 +266,10 @@ class LinearModel:
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
         """Returns the model with actuator lag: the inputs are the requested forces, and the actual forces are states.
 
-        Each force f follows f' = bandwidth (u - f), and f replaces the control force u in all signals.
+        Each actual force f follows f' = bandwidth (u - f), and replaces the requested force u in all signals.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s]; None for actuators without lag, as in this model.
+            bandwidth: corner frequency of every actuator [rad/s]; None for actuators without lag.
         """
         if bandwidth is None:
             return self
@@ -286,7 +288,7 @@ class LinearModel:
         )
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
-        """Returns the rows of C, shape (k, n), and of D, shape (k, m), for k output signals.
+        """Returns the rows of C and D for k output signals, shapes (k, n) and (k, m).
 
         Raises:
             InputError: the vehicle does not have one of these signals.

@@ -1,25 +1,28 @@
-"""Suspension links: the axes about which a body rotates, and the share of a load that the springs do not carry.
+"""Suspension links: they define the axes about which a body rotates, and carry a share of the loads instead of the springs.
 
-Heights are above the ground. If a car has roll centres, the body rolls about the axis through both. At the centre of mass, this
-axis has the height
+Heights are above the ground. If a car has roll centres, the body rolls about the axis through the front and rear roll centres.
+At the centre of mass, this axis has the height
 
     h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (axle distances l, their sum L).
 
-The moment of inertia of the body about this axis is I_x + m_s b^2. At the roll angle phi, the weight is displaced by b phi to
-the side and has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres on the ground,
+The moment of inertia of the body about this axis is I_x + m_s b^2. At the roll angle phi, the centre of mass is displaced by b
+phi to the side, so the weight has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres on the
+ground,
 
     phi = m_s a b / (K - m_s g b)
 
 with the roll stiffness K of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D. L.
-Milliken, Race Car Vehicle Dynamics, ch. 18). If there is a pitch centre, the body pitches about an axis at its height in the
-same way. Both axes are horizontal and do not move relative to the ground: no tyre slips sideways, and tyres deflect only
-vertically. The links guide every wheel, so a suspension has the deflection z - x theta + y phi - z_u at any angle.
+Milliken, Race Car Vehicle Dynamics, ch. 18). In the same way, if there is a pitch centre, the body pitches about an axis at the
+height of the pitch centre. The roll axis and the pitch axis are horizontal and do not move relative to the ground, because no
+tyre slips sideways, and tyres deflect only vertically. The links guide every wheel, so the deflection of a suspension is z - x
+theta + y phi - z_u at any angle.
 
-Links transmit a horizontal force F on the body to the tyres. Each axle takes the share s of a lateral force: the distance of
-the other axle from the centre of mass, divided by L. Through the links, the load on the outer wheels of the axle increases by s
-F h_axle / track. A longitudinal force transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the
-share of its load transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope
-angle of a line to the instant centre in side view. Then (Gillespie, ch. 7; Milliken, ch. 17), for rear-wheel drive,
+Links transmit a horizontal force F on the body to the tyres. Each axle takes a share s of a lateral force: the distance of the
+other axle from the centre of mass, divided by the wheelbase L. Through the links, the load on the outer wheels of the axle
+increases by s F h_axle / track. A longitudinal force F at the height h transfers the load F h / L between the axles. The
+parameter `anti_...` of an axle is the share of its load transfer that the links carry. The front axle has the share b_f of the
+braking force. Let beta be the slope angle, in side view, of a line from the wheel to the instant centre. Then (Gillespie, ch.
+7; Milliken, ch. 17), for rear-wheel drive,
 
     anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L /
     h.
@@ -28,12 +31,12 @@ The line begins at the tyre contact point if the links react the wheel torque. E
 solid axle. The line begins at the wheel centre if the body reacts the torque. Examples are inboard brakes and a driven wheel
 with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
 
-Such a link pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertia of the wheels does
-not push the body. The inertial force of m_u at its height is a moment on the tyres: of one axle in cornering, of both axles in
-braking.
+A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
+of the wheels does not act on the body. The inertial force of the wheels, which acts at their height, is a moment on the tyres:
+of one axle in cornering, of both axles in braking.
 
-A half-car in the roll plane has a single axle. Its body rolls about its roll centre, and its links carry the whole lateral
-force.
+A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
+whole lateral force.
 """
 
 from collections.abc import Collection, Sequence
@@ -99,7 +102,7 @@ def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float,
         p: parameters of the vehicle.
         corners: names of the corners, such as "front" or "front_left".
         way: direction of the force: `roll_load` for a force to the right, `pitch_load` for a forward force.
-        force: force on the body at its centre of mass [N]: inertial force or wind.
+        force: force on the body at its centre of mass [N], for example an inertial force or wind.
         acceleration: acceleration whose inertial force on the wheels has the same direction [m/s2]; 0 for wind.
     """
     if not wheel_loads(p, corners):
@@ -127,7 +130,7 @@ def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float,
 
 
 def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the result of `carried_loads` for two wheels in a cross-section, whose links carry the whole force."""
+    """Returns the result of `carried_loads` for two wheels in the same cross-section, whose links carry the whole force."""
     moment = force * p.get(ROLL_CENTRE.name, 0.0)
     own = sum(p[f"unsprung_mass_{side}"] for side in SIDES) * acceleration * p.get(WHEEL_CENTRE.name, 0.0)
     gained = (moment + own) / track("", p)

@@ -1,4 +1,4 @@
-"""Interface of exact equations of motion, which do not use MuJoCo. They are nonlinear if the vehicle is nonlinear."""
+"""Interface of exact equations of motion, which do not use MuJoCo. The equations are nonlinear if the vehicle is nonlinear."""
 
 from collections.abc import Callable, Mapping
 from typing import Protocol
@@ -43,15 +43,15 @@ class Motion(Protocol):
             heights: road heights under the wheels [m], shape (T, r).
             inputs: forces at the wheels [N], shape (T, m).
             pulls: forces of the suspensions in addition to their linear springs and dampers.
-            loads: loads on the body [N, N m], shape (T, l). If tyres have damping, the road velocities [m/s] follow, shape
-                (T, l + r).
+            loads: loads on the body [N, N m], shape (T, l). If tyres have damping, further columns contain the road velocities
+                [m/s], shape (T, l + r).
         """
         ...
 
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Mapping[str, Array]:
-        """Returns the vehicle's other signals by name, such as accelerations, each of shape (T,).
+        """Returns the signals that are not in `names`, such as accelerations, by name, each of shape (T,).
 
-        Inputs, and signals that are sums of other signals, are omitted. Arguments are those of `rate`.
+        Inputs, and signals that are sums of other signals, are omitted. For the arguments, see `rate`.
         """
         ...
 
@@ -65,8 +65,8 @@ class StoredEnergy(Protocol):
         ...
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """Returns potential and kinetic energy without those of nonlinear suspension forces [J], shape (T, 2).
+        """Returns potential and kinetic energy, without the energy of nonlinear suspension forces [J], shape (T, 2).
 
-        Arguments are those of `Motion.read`. The potential energy is relative to an arbitrary but fixed state.
+        For the arguments, see `Motion.read`. The potential energy is relative to an arbitrary but fixed state.
         """
         ...

@@ -1,7 +1,7 @@
 """Rules that find numbers of vehicles and roads that probably have the wrong unit, or are swapped.
 
-The limits are relative to the vehicle if trucks, bicycles and model-scale test benches differ in the quantity.
-`models.parts.plausibility` contains the warnings about characteristics.
+If a quantity differs between trucks, bicycles and model-scale test benches, its limit is relative to other quantities of the
+vehicle. `models.parts.plausibility` contains the warnings about characteristics.
 """
 
 import math
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class KnownQuantity(NamedTuple):
-    """Quantity of a vehicle or road in the form in which a warning shows it: name, value and unit."""
+    """Quantity of a vehicle or road as a warning shows it: name, value and unit."""
 
     name: str
     value: float
@@ -37,7 +37,7 @@ class Rule:
     """Rule for a warning about quantities.
 
     Attributes:
-        of: names of the quantities, which must all be known at the same place of the vehicle.
+        of: names of the quantities. The rule applies at a place of the vehicle where all of them are known.
         odd: function of the values: True if they are improbable.
         words: text of the warning, with the names of the quantities in braces.
         rank: a rule gives no warning if another rule with a lower rank, other than 0, already gives a warning.
@@ -96,7 +96,7 @@ NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]  # names of the quant
 
 
 def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
-    """Returns one warning for each rule that finds improbable quantities at some place, namely the first such place.
+    """Returns a warning for each rule that finds improbable quantities, about the first place at which they are found.
 
     Args:
         places: the known quantities at each place, by the names that the rules use.
@@ -111,7 +111,7 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     return said
 
 
-CORNER = {  # quantities at a suspension: the beginning of a parameter's name, and its unit
+CORNER = {  # quantities at a suspension: the beginning of the parameter's name, and the unit
     "spring": ("suspension_stiffness", "N/m"), "damper": ("suspension_damping", "N s/m"), "wheel": ("unsprung_mass", "kg"),
     "tyre": ("tyre_stiffness", "N/m"), "tyre_damper": ("tyre_damping", "N s/m"),
 }  # fmt: skip
@@ -120,8 +120,8 @@ CORNER = {  # quantities at a suspension: the beginning of a parameter's name, a
 def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
     """Yields the quantities of a vehicle, place by place, by the names that `RULES` uses.
 
-    The first place is the body. Springs and dampers of all corners count together there, so its frequency and damping ratio are
-    approximate. Dampers with a characteristic are omitted here; `suspension_doubts` checks them.
+    The first place is the body. For the body, the springs and dampers of all corners are added, so its frequency and damping
+    ratio are approximate. Dampers with a characteristic are omitted here; `suspension_doubts` checks them.
 
     Args:
         vehicle: the `Vehicle`.
@@ -138,7 +138,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
         if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
             (low, low_name), (high, high_name) = corners[0], corners[-1]
             yield _known_quantities(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
-    # One suspension of those with the same parameters
+    # Only one of several suspensions with the same parameters is checked
     firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()
     lines = [_of_elements(vehicle, deflection) for deflection in firsts]
     k, c = (
@@ -210,5 +210,5 @@ def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, 
 
 
 def _ratio(of: float, to: float) -> float:
-    """Returns a ratio; 0 if it is unknown."""
+    """Returns the ratio of two numbers; 0 if the ratio is unknown."""
     return of / to if to else 0.0

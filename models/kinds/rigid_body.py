@@ -1,37 +1,39 @@
 """Rigid body on several corners: the equations that half-cars and full cars have in common. A half-car lacks pitch or roll.
 
-The axes are those of ISO 8855: x forward, y to the left, z up. Pitch is positive nose down, roll is positive right side down.
-The modes of the body are heave z, pitch theta and roll phi, all small: q = (z, theta, phi). The height of the body above corner
-i is s_i = z - x_i theta + y_i phi, or s = S q. In the notation of the paper's (28), with the suspension force f_i upward on the
-body,
+The axes are defined as in ISO 8855: x forward, y to the left, z up. Pitch is positive if the nose moves down, and roll is
+positive if the right side moves down. The modes of the body are heave z, pitch theta and roll phi, q = (z, theta, phi), which
+are assumed to be small. The height of the body above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In the notation of
+the paper's (28), with the suspension force f_i upward on the body,
 
     d = S q - z_u,     t = z_u - z_r,     f = -K_s d - C_s d' + u,
     M q'' = S' f + l,      m_u z_u'' = -f - K_u t,
 
 where d and t are the deflections of suspensions and tyres, and l contains the loads on the body, a force and moments. The state
-consists of relative displacements and of velocities: x = (d, P t, q', z_u').
+consists of relative displacements and velocities: x = (d, P t, q', z_u').
 
-An anti-roll bar is a torsion spring between body and axle. Its angle is the roll angle of the body relative to the axle,
-a = (d_left - d_right) / track. Its moment k a is a pair of forces at the two wheels. K_s is diagonal without bars; each bar
-adds k (e_l - e_r)(e_l - e_r)' / track^2.
+An anti-roll bar is a torsion spring between body and axle. The angle of the bar is the roll angle of the body relative to the
+axle, a = (d_left - d_right) / track. The moment k a of the bar acts as a pair of forces at the two wheels. Without anti-roll
+bars, K_s is diagonal. Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2, where e_l and e_r are the unit vectors of its two
+corners.
 
-A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then
-n' (d + t + z_r) = 0 at all times, so the warp of the road acts as a displacement, not only as a velocity. The state therefore
-contains only the modes P t of the tyre deflections that a rigid body can follow. The warp of the road enters in addition:
+A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then n' (d +
+t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the vehicle. The state
+therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations then contain
+additional terms for the warp of the road:
 
     t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1.
 
-If P n = 0, as on axles of equal track width, then E = P+ and N = n n' / n'n.
+If P n = 0, as for axles of equal track width, then E = P+ and N = n n' / n'n.
 
 Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
-mass. For this reason, the preloads have no effect in the linear model. The MJCF differs from the linear model by terms that are
-quadratic in the amplitude.
+mass. For this reason, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear model by
+terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about an axis that lies b below its centre of
-mass. This adds m_s b^2 to M, and a moment W q of the weight, with m_s g b for each angle. The angles are relative to level
-ground, q = S+ (d + t + z_r). On a banked road, the body leans, so the road height acts in this case, too. In the MJCF, the
-hinges lie on the axes, and the suspensions are fixed tendons. An upright strut would lean when the body sways, and its preload
-would rotate the body further.
+mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
+g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. In this case, too, the
+road height therefore acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed tendons.
+Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body further.
 """
 
 from collections.abc import Sequence
@@ -57,7 +59,7 @@ from models.kinds.signals import (
 )
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
-# External loads on the body along the joints of its modes q, in the order of the modes.
+# External loads on the body, one for each mode in q and in the same order. Each load acts along the MJCF joint of its mode.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
     "centre_height",
@@ -66,7 +68,7 @@ CENTRE_HEIGHT = Parameter(
     usual=0.55,
 )
 AXLES = ("front", "rear")
-LONGEST = 50.0  # m, largest distance between wheels; larger values are probably in mm
+LONGEST = 50.0  # largest plausible distance between wheels [m]; larger values are probably in mm
 
 
 def per_axle(
@@ -77,7 +79,7 @@ def per_axle(
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter for each axle, or for each of other places. `options` are further arguments of `Parameter`."""
+    """Returns a parameter for each axle or for each other given place. `options` contains further arguments of `Parameter`."""
     return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
 
@@ -160,12 +162,12 @@ class RigidBody:
         pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2]; None for a body that does
             not pitch.
         roll_inertia: moment of inertia about the longitudinal axis [kg m2]; None for a body that does not roll.
-        tyre_modes: P, the modes of the tyre deflections in the state, shape (p, c).
-        twist: n, the warp motion with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
+        tyre_modes: matrix P, whose rows are the modes of the tyre deflections in the state, shape (p, c).
+        twist: vector n, the warp motion with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
         bars: anti-roll bars of the body.
-        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. None if there is no such axis; the
-            body then pitches about its centre of mass, and its weight has no moment.
-        roll_arm: height of the centre of mass above the roll axis [m]; None as for `pitch_arm`.
+        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. None if links do not define a pitch
+            axis; the body then pitches about its centre of mass, and its weight has no moment.
+        roll_arm: height of the centre of mass above the roll axis [m]; None if links do not define a roll axis.
         wheel_loads: loads on the wheels.
         seat_mass: mass on a seat above the body, not included in `mass` [kg].
         seat_x: position of the seat forward of the centre of mass [m].
@@ -254,11 +256,12 @@ def linear_model(
 
     Args:
         body: body with c corners, k modes and p tyre modes.
-        states: signals of the state (d, P t, q', z_u'), c + p + k + c of them.
+        states: signals of the state (d, P t, q', z_u'), in total c + p + k + c signals.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals: states, other tyre deflections, q'', velocity and acceleration of the body above each corner.
-            Then control forces, accelerations of the wheels, and heights: of the body, above each corner, of the wheels.
+        outputs: output signals in this order: states, other tyre deflections, q'', velocity and acceleration of the body above
+            each corner, control forces, accelerations of the wheels, and heights (of the body, above each corner, and of the
+            wheels).
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -267,7 +270,7 @@ def linear_model(
         name: np.diag([getattr(corner, name) for corner in body.corners])
         for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness", "tyre_damping")
     }
-    # Rows of the identity matrix select parts of the state.
+    # The rows of the identity matrix select parts of the state.
     d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
 
     E, N = np.linalg.pinv(P), np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
@@ -383,7 +386,7 @@ def check_stands(body: RigidBody) -> None:
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
     try:
-        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # angle per moment, if all other modes are free
+        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # angle per moment if all other modes are free to move
     except np.linalg.LinAlgError:
         raise InputError("the body falls over: nothing holds its weight; add springs, or omit roll and pitch centres") from None
     for i, mode in enumerate(body.modes[1:], start=1):
@@ -401,17 +404,18 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
     The elements of each corner NAME are the bodies `road_NAME` and `unsprung_NAME`, the sites `suspension_NAME_bottom` and
     `suspension_NAME_top`, and the tendons `suspension_NAME` and `tyre_NAME`. At qpos = 0, the preloads carry the weight, so
-    this is the static equilibrium. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle of the
-    joint `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are also fixed tendons.
+    this position is the static equilibrium. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle
+    of the joint `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are also fixed tendons.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass
     inertias = [own for own in (body.roll_inertia, body.pitch_inertia) if own is not None]
     sprung.inertia = [inertias[0], inertias[-1], max(inertias)]
-    # The body cannot yaw, so its third moment of inertia matters only if it pitches and rolls simultaneously. The effect is
-    # quadratic in the amplitude, and zero in the linear model. Vehicle files do not contain this inertia. The larger of the other
-    # two is close to that of a car. A rigid body can have any value between the difference and the sum of the other two. Over a
-    # bump of 0.1 m under the left wheels, this range changes the full car's pitch acceleration by at most 5e-4 of its peak.
+    # The body cannot yaw, so its third moment of inertia matters only if it pitches and rolls simultaneously. The effect of
+    # this inertia is quadratic in the amplitude, and zero in the linear model. Vehicle files do not contain this moment of
+    # inertia. For a car, the larger one of the other two moments is a good estimate. A rigid body can have any value between
+    # the difference and the sum of the other two moments. Over a bump of 0.1 m under the left wheels, values in this range
+    # change the full car's pitch acceleration by at most 5e-4 of its peak.
 
     if body.has_axis:
         for mode, arm in zip(body.modes[1:], body.axis_offsets[1:].tolist(), strict=True):

@@ -1,18 +1,20 @@
-"""Exact equations of motion of a rigid body on struts, for large pitch and roll angles. `rigid_body` has the linear equations.
+"""Exact equations of motion of a rigid body on struts, for large pitch and roll angles.
 
-The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis:
-R = R_y R_x. Strut i connects its hub, which a slide keeps at (x_i, y_i), with the point R (x_i, y_i, 0) of the body. With the
+The linear equations are in `rigid_body`.
+
+The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis: R =
+R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically at (x_i, y_i). With the
 vector r_i from hub to body, its length L_i, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
-the strut pushes the body with J_i' p_i, and the hub downward with e_i p_i. The tyre pushes the hub upward with the larger of 0
-and k_u (static - t) + c_u (w - z_u'), where w is the road velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's
-equations are
+the strut pushes the body with J_i' p_i, and the hub downward with e_i p_i. The tyre pushes the hub upward with the force k_u
+(static - t) + c_u (w - z_u'), where w is the road velocity, or with 0 if this force is negative. With I = I_y cos^2 phi + I_z
+sin^2 phi, Lagrange's equations are
 
     m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
 
-If links define axes, at c below the centre of mass for pitch and at b for roll, the centre of mass is at
+If links define a pitch axis at c below the centre of mass, and a roll axis at b below it, the centre of mass is at
 
     (s sin theta, -b sin phi, z - c + s cos theta),     s = c - b (1 - cos phi).
 
@@ -26,11 +28,12 @@ and Lagrange's equations are
     j theta'' - m s sin theta (z'' + g) = Q_theta - j' phi' theta',
     (I_x + m b^2) phi'' - m b sin phi cos theta (z'' + g) = Q_phi + j' theta'^2 / 2.
 
-Because the links guide every wheel, d_i = z - x_i theta + y_i phi - z_u, without a strut length.
+Because the links guide every wheel, the deflection is d_i = z - x_i theta + y_i phi - z_u, and does not depend on the length of
+a strut.
 
 A point (x, y) of the body has the height z - x sin theta + y sin phi cos theta. The time derivatives of this height are its
-velocity and acceleration. Angular accelerations are about axes fixed to the road: theta'', and phi'' cos theta - phi' theta'
-sin theta.
+velocity and acceleration. Angular accelerations are measured about axes that are fixed to the road: theta'', and phi'' cos
+theta - phi' theta' sin theta.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,27 +51,29 @@ from models.kinds.signals import Signal
 if TYPE_CHECKING:
     from models.kinds.motion import Pulls
 
-STRUT = 0.44  # m, length of every strut in equilibrium in the MJCF; the linear model does not use it
-SHORTEST = 0.1  # m, shortest strut for which the equations are valid
+STRUT = 0.44  # length of every strut in equilibrium in the MJCF [m]; the linear model does not use this length
+SHORTEST = 0.1  # length of the shortest strut for which the equations are valid [m]
 MOST_TURNED, LEAST_UPRIGHT = 0.5, 0.5  # largest angle of the body [rad], and smallest cosine of a strut's inclination
-CLOSEST = 1e-15  # m, rad; the search for the position of the body ends at this step size
-MOST_TRIALS = 60  # iterations of this search; each reduces the error by a factor of the order of the angles
+CLOSEST = 1e-15  # step size at which the search for the position of the body ends [m, rad]
+# Largest number of iterations of this search; each iteration multiplies the error by about the size of the angles
+MOST_TRIALS = 60
 
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
     """Equations of motion of a body on c struts with k modes out of heave, pitch and roll.
 
-    The states are q, z_u and their rates.
+    The states are the modes q, the hub heights z_u, and their rates.
 
     Attributes:
         body: masses, geometry and elements of the body.
-        shape: S of `RigidBody`, shape (c, k).
-        yaw_inertia: I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
+        shape: matrix S of the `RigidBody`, shape (c, k).
+        yaw_inertia: moment of inertia I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: names of other signals. First the k accelerations of the body, then the velocities and the accelerations of its
             c points above the hubs, then the accelerations of the hubs. Last, the heights of the centre of mass, of the c
-            points and of the hubs. A body that only moves vertically has one acceleration and one height, and those of its hub.
+            points and of the hubs. For a body that only moves vertically, these are the acceleration and the height of the body
+            and of its hub.
     """
 
     body: RigidBody
@@ -81,7 +86,7 @@ class RigidMotion:
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
         """See `Motion`.
 
-        A search finds the position of the body for these deflections; the result is NaN if there is no such position.
+        A search finds the position of the body for the given deflections; the result is NaN if there is no such position.
         """
         c = len(self.shape)
         columns = np.stack([signals[name] for name in self.names], axis=-1)
@@ -97,7 +102,10 @@ class RigidMotion:
         return np.concatenate([q, hubs, columns[:, 2 * c :]], axis=1)
 
     def usable(self, state: Array) -> Array:
-        """See `Motion`. If the body has turned over or a strut has no length, the struts do not determine the position."""
+        """See `Motion`.
+
+        If the body has turned over, or if the length of a strut is 0, the struts do not determine the position.
+        """
         q, hubs, rates, hub_rates = self.split(state)
         with np.errstate(all="ignore"):
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)
@@ -170,7 +178,10 @@ class RigidMotion:
         return (*modes, *(f"unsprung_{corner.name}".removesuffix("_") for corner in self.body.corners))
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """See `StoredEnergy`. Potential energy: weights, and linear springs of suspensions, tyres and anti-roll bars."""
+        """See `StoredEnergy`.
+
+        The potential energy is that of the weights and of the linear springs of suspensions, tyres and anti-roll bars.
+        """
         q, hubs, rates, hub_rates = self.split(state)
         spring, _, tyre, _, unsprung, resting = self._corners
         d, lifted = self._struts(q, hubs, rates, hub_rates)[0], q[:, 0]
@@ -204,7 +215,7 @@ class RigidMotion:
         return M
 
     def turns(self, columns: Array) -> tuple[Array, Array]:
-        """Returns the columns of pitch and of roll from k columns of modes, each of shape (T,); zeros for a missing mode."""
+        """Returns the columns of pitch and roll from k columns of modes, each of shape (T,); zeros for a missing mode."""
         modes = self.body.modes
         pitch, roll = (columns[:, modes.index(i)] if i in modes else np.zeros(len(columns)) for i in (1, 2))
         return pitch, roll
@@ -222,7 +233,7 @@ class RigidMotion:
             sin: sine of theta, as `tilt` returns it.
             cos: cosine of theta.
             side: sine of phi.
-            s: s, as `tilt` returns it.
+            s: value s, as `tilt` returns it.
         """
         body, b = self.body, self.body.roll_arm or 0.0
         inertias, entries = list[Array | float](), list[Array]()
@@ -259,13 +270,13 @@ class RigidMotion:
         return np.stack([lifted - GRAVITY, *turns], axis=-1)
 
     def split(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns q, z_u and their rates."""
+        """Returns the modes q, the hub heights z_u, and their rates."""
         c, k = self.shape.shape
         q, hubs, rates, hub_rates = np.split(state, [k, k + c, 2 * k + c], axis=1)
         return q, hubs, rates, hub_rates
 
     def _struts(self, q: Array, hubs: Array, rates: Array, hub_rates: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns d and d', shape (T, c), J, shape (T, c, k), and e, shape (T, c)."""
+        """Returns the deflections d and their rates d', shape (T, c), the matrices J, shape (T, c, k), and e, shape (T, c)."""
         if q.shape[1] == 1:
             return q - hubs, rates - hub_rates, np.ones((*hubs.shape, 1)), np.ones_like(hubs)
         if self.body.has_axis:
@@ -284,7 +295,7 @@ class RigidMotion:
         if self.body.roll_inertia is not None:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
-        # For a strut with a small inclination, the difference of two lengths would lose digits; this form does not.
+        # For a strut with a small inclination, the difference of two lengths would lose digits, so another form is used.
         upright = height > 0
         far = length + np.where(upright, height, -height)
         d = np.where(upright, (along**2 + across**2) / far, length - height) + rise

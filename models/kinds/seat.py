@@ -29,5 +29,5 @@ class Seat(Section):
 
     @property
     def arms(self) -> tuple[float, float, float]:
-        """Height of the seat's mounting point per unit of heave, pitch and roll of the body."""
+        """Vertical displacement of the seat's mounting point per unit of heave, pitch and roll of the body."""
         return 1.0, -self.x, self.y

@@ -1,13 +1,14 @@
 """Vehicle types with a seat: a person above a point of the body, on a spring and a damper in parallel.
 
 The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, it is at
-the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium follows
+the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium is given by
 
     s' = z_p' - (z' - x theta' + y phi'),     m_p z_p'' = -(k_p s + c_p s'),
 
-and the force k_p s + c_p s' lifts the body at this point. If the body has a roll or pitch axis, it moves the seat sideways. The
-inertia m_p b^2 and the weight moment m_p g b per angle are then added to those of the body (`rigid_body.py`). The weight of the
-seat is part of every static load; `sprung_mass` is the mass of the body without the seat.
+and the force k_p s + c_p s' lifts the body at this point. If links define a roll or pitch axis of the body, the rotation about
+this axis also moves the seat horizontally. The seat then adds the inertia m_p b^2 and, per unit of the angle, the weight moment
+m_p g b to those of the body (`rigid_body.py`). The weight of the seat is part of every static load; `sprung_mass` is the mass
+of the body without the seat.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,16 +41,17 @@ if TYPE_CHECKING:
 
 SIGNALS = (SEAT_TRAVEL, SEAT_VELOCITY, SEAT_ACCELERATION)
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
-# Of the body, in the order of `LOADS`
+# Rates and accelerations of the body, in the order of `LOADS`
 RATES = ((HEAVE_VELOCITY.name, SPRUNG_VELOCITY.name), (PITCH_RATE.name,), (ROLL_RATE.name,))
 TURNS = {"x": ("pitch_inertia", "does not pitch"), "y": ("roll_inertia", "does not roll")}
-POINT_INERTIA = 1e-12  # kg m2, rotational inertia of the seat in the MJCF, because MuJoCo requires a value above 0
-CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)  # m, half edge lengths in the drawing
-SPRING = (0.2, 0.36)  # m, heights of the ends of the drawn spring above the point
+POINT_INERTIA = 1e-12  # rotational inertia of the seat in the MJCF [kg m2]; MuJoCo requires a value above 0
+CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)  # half edge lengths of cushion and backrest in the drawing [m]
+SPRING = (0.2, 0.36)  # heights of the ends of the drawn spring above the mounting point [m]
 # Parts of the body that are drawn transparent, so that a seat is visible
 GLASS = {"cabin": [0.55, 0.68, 0.78, 0.25], "roof": [0.16, 0.36, 0.62, 0.25]}
-BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3  # mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE, mjOBJ_JOINT; vehicle types do not import MuJoCo
-SENSORS = {  # mjSENS_JOINTPOS, mjSENS_FRAMELINVEL, mjSENS_FRAMELINACC; type of object; measured direction
+# Values of mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE and mjOBJ_JOINT, because vehicle types do not import MuJoCo
+BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3
+SENSORS = {  # values of mjSENS_JOINTPOS, mjSENS_FRAMELINVEL and mjSENS_FRAMELINACC; type of object; measured direction
     SEAT_TRAVEL.name: (9, OF_JOINT, [1.0]),
     SEAT_VELOCITY.name: (31, SITE, [0.0, 0.0, 1.0]),
     SEAT_ACCELERATION.name: (33, SITE, [0.0, 0.0, 1.0]),
@@ -60,7 +62,7 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
     """Reads `[seat]`.
 
     Returns:
-        The vehicle type with a seat, and the parameters including those of the seat.
+        The vehicle type with a seat, and the parameters including the parameters of the seat.
 
     Raises:
         InputError: a key or value is not allowed, or the vehicle type cannot have a seat.
@@ -82,7 +84,10 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
 
 
 def seated_kind(kind: VehicleKind) -> VehicleKind:
-    """Returns a built-in vehicle type with a seat. The seat's parameters begin with `seat_`; the ride is that of the person."""
+    """Returns a built-in vehicle type with a seat.
+
+    The names of the seat's parameters begin with `seat_`. Ride is evaluated at the person in the seat.
+    """
     known = {one.name for one in kind.parameters}
     parameters = [
         Parameter(f"seat_{key}", one.unit, one.meaning, usual=0.0 if key in TURNS else None, smallest=one.low, largest=one.high)
@@ -97,7 +102,7 @@ def seated_kind(kind: VehicleKind) -> VehicleKind:
         write_mjcf=partial(_write_mjcf, kind.write_mjcf),
         motion=kind.motion and partial(_motion, kind.motion),
         people=(SEAT_ACCELERATION.name,),
-        invariants=(),  # the invariants hold only for vehicles without further masses
+        invariants=(),  # the invariants of the vehicle type hold only for vehicles without additional masses
     )
 
 
@@ -126,9 +131,9 @@ def _motion(of_car: Callable[[Parameters], Any], p: Parameters) -> "Motion":
 
 
 def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Parameters) -> None:
-    """Writes a car with a seat: a body `seat` on the body `sprung`, its joint with the preloaded spring, and sensors.
+    """Writes a car with a seat: the body `seat` on the body `sprung`, its joint with the preloaded spring, and sensors.
 
-    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above.
+    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above this point.
     """
     of_car(spec, p)
     seat, sprung = Seat.of(p), spec.body("sprung")

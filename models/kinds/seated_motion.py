@@ -1,8 +1,8 @@
 """Exact equations of motion of a car with a seat, for large pitch and roll angles of the body.
 
-The coordinates are y = (q, s), with q = (z, theta, phi) of the body and the seat's travel s. The heights of the body's centre
-of mass above its pitch and roll axes are c and b (`rigid_motion.py`); they are 0 without axes. Relative to the road, the seat's
-mass is at the position P(y), where
+The coordinates are y = (q, s), with q = (z, theta, phi) of the body and the seat's travel s. The centre of mass of the body is
+at the height c above the pitch axis and b above the roll axis (`rigid_motion.py`). Both heights are 0 if links do not define
+axes. Relative to the road, the seat's mass is at the position P(y), where
 
     Y = y cos phi - (s + b) sin phi,     h = c - b + y sin phi + (s + b) cos phi,
     P = (x cos theta + h sin theta,  Y,  z - c - x sin theta + h cos theta).
@@ -11,7 +11,7 @@ With the Jacobian J of P, and P'' = J y'' + a, Lagrange's equations of body and 
 
     (M + m J' J) y'' = (Q - ...) + (0, m g - k s - c_p s') - m J' (a + g e_z),
 
-where M and the first term are those of the body alone, with the static loads of body and seat.
+where M and the first term are the same as for the body alone, but with the static loads of body and seat.
 """
 
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ UP = np.array([0.0, 0.0, 1.0])
 class SeatedMotion:
     """Equations of motion of a car with a seat.
 
-    The states are q, the hub heights, the seat's travel, and the rates of all these.
+    The states are the modes q, the hub heights, the seat's travel, and the rates of all these.
 
     Attributes:
         car: equations of the body, with the static loads of body and seat.
@@ -96,7 +96,7 @@ class SeatedMotion:
         return {**self.car.outputs_at(car, of_car), SEAT_ACCELERATION.name: (J[:, 2] * turning).sum(axis=1) + bent[:, 2]}
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """See `StoredEnergy`. The seat's weight, spring and motion add to the energy of the car."""
+        """See `StoredEnergy`. The energy of the car includes the energy of the seat's weight, spring and motion."""
         car, travel, speed = self._split(state)
         q, _, rates, _ = self.car.split(car)
         P, J, _ = self._place(q, travel, rates, speed)
@@ -123,7 +123,7 @@ class SeatedMotion:
             speed: rate of the extension [m/s], shape (T,).
 
         Returns:
-            Arrays of shape (T, 3), (T, 3, k + 1) and (T, 3).
+            Arrays P, J and a of shape (T, 3), (T, 3, k + 1) and (T, 3).
         """
         car, x, y = self.car, self.seat.x, self.seat.y
         sin, cos, side, turned, _ = car.tilt(q)
@@ -140,7 +140,7 @@ class SeatedMotion:
         along = np.stack([turned * sin, -side, turned * cos], axis=-1)
         J = np.stack([*(by_each[mode] for mode in car.body.modes), along], axis=-1)
         h_dot = Y * roll_rate + turned * speed
-        # Second derivative of h, without the terms of angular accelerations
+        # Second derivative of h without the terms with angular accelerations
         bent = -rise * roll_rate**2 - 2 * side * roll_rate * speed
         a = [
             -(x * cos + h * sin) * pitch_rate**2 + 2 * h_dot * cos * pitch_rate + bent * sin,

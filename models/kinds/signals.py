@@ -93,7 +93,8 @@ def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:
     """Returns the signals of semi-active dampers.
 
     Args:
-        endings: suffix of the signal names at each damper: True for a damper with a coefficient, False for one with a voltage.
+        endings: mapping from the suffix of each damper's signal names to True for a damper with a coefficient, or False for a
+            damper with a voltage.
     """
     corners = {ending.removeprefix("_"): DAMPING if own else VOLTAGE for ending, own in endings.items()}
     rows = [*((one, corner) for corner, one in corners.items()), *((MISSING_FORCE, corner) for corner in corners)]

@@ -2,19 +2,19 @@
 
 A suspension is a spring that is preloaded with the static load. Without a spring, a constant force carries the load.
 
-A strut without a spring is purely active (Thompson 1976, Hrovat 1997). In addition to the static load, its actuator then
-applies the force u of the equations. The limits and the lag in `[limits]` apply only to u.
+A strut without a spring is purely active (Thompson 1976, Hrovat 1997). Its actuator then applies the static load and the force
+u of the equations. The limits and the lag in `[limits]` apply only to u.
 
-A tyre is a spring that pushes and never pulls. Its damping acts only while the tyre touches the road. A tyre with damping
-pushes its hub upward with
+A tyre is a spring that can push but not pull. The damping of a tyre acts only while the tyre touches the road. A tyre with
+damping pushes its hub upward with
 
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
-where l is the tyre length and z_r' the road velocity. MuJoCo holds the road height over a step, so z_r' is held, too. A mocap
-body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0. At this
-moment, the equivalent deflection t + (c / k) t' exceeds the static deflection; without damping, the equivalent deflection is
-the deflection itself. In the air, the tyre neither pulls nor damps: its rubber is assumed to return immediately, without a
-force on the hub.
+where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height is constant over a time step, and so is z_r'.
+A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0.
+At this moment, the equivalent deflection t + (c / k) t' reaches the static deflection. Without damping, the equivalent
+deflection is the deflection t. In the air, the tyre exerts no force. Its rubber is assumed to return immediately to its free
+shape, without a force on the hub.
 """
 
 from typing import Any
@@ -22,10 +22,10 @@ from typing import Any
 from models.kinds.signals import TYRE_DEFLECTION
 
 STATIC_LOAD = "fitted_static_load_"  # prefix of the name of the actuator with the constant force; the name of its tendon follows
-TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; vehicle types do not import MuJoCo
+TENDON, AFFINE = 3, 1  # values of mjTRN_TENDON and mjBIAS_AFFINE, because vehicle types do not import MuJoCo
 TYRE_DAMPING = "damping of a tyre between hub and road; a tyre without contact has no damping"
 DAMPER = "fitted_damped_"  # prefix of the name of the actuator of a tyre with damping; the name of its tendon follows
-MOST_FORCE = 1e9  # N; larger than any tyre force, and smaller than the limit at which MuJoCo reports an error
+MOST_FORCE = 1e9  # a force [N] larger than any tyre force, but smaller than the limit at which MuJoCo reports an error
 
 
 def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: float, length: float = 0.0) -> None:

@@ -1,6 +1,6 @@
 """Custom vehicle types in the user's Python code.
 
-The file of the vehicle type is executed. For the parameters of each vehicle, its equations are checked once.
+Python executes the file of the vehicle type. The equations of the type are checked once for the parameters of each vehicle.
 """
 
 import sys
@@ -36,8 +36,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
         name: name of the vehicle type.
 
     Raises:
-        InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. Functions of the vehicle type
-            also raise this error if they fail, and `check_together` also if their results are wrong.
+        InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
+            type also raise this error if they fail. `check_together` also raises it if their results are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
@@ -56,12 +56,15 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
 
 def print_to_stderr(*values: Any, file: Any = None, **options: Any) -> None:
-    """Prints to stderr. Custom vehicle types use it, because stdout belongs to the command and may be JSON."""
+    """Prints to stderr.
+
+    Custom vehicle types print to stderr in this way, because stdout belongs to the command and may be JSON.
+    """
     print(*values, file=file or sys.stderr, **options)
 
 
 def check_parts(kind: VehicleKind) -> None:
-    """Checks that the parts of a vehicle type fit together, except its functions. `CheckedFields` checks each part alone.
+    """Checks that the parts of a vehicle type fit together, except its functions. `CheckedFields` checks each part separately.
 
     Raises:
         InputError: a name is used twice, or a part refers to a name that the vehicle type does not have.
@@ -134,7 +137,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
 
 
 def _check_model(model: LinearModel, kind: VehicleKind) -> None:
-    """Refuses a linear model that lacks names of its vehicle type, or whose states and inputs are not among its outputs."""
+    """Refuses a linear model if names of its vehicle type are missing, or if its states and inputs are not among its outputs."""
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven

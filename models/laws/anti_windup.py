@@ -1,13 +1,14 @@
-"""Anti-windup of a linear law: the states follow the actual forces while these differ from the requested forces.
+"""Anti-windup of a linear law: while the actual forces differ from the requested forces, the states follow the actual forces.
 
 A law that a computer executes is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i]. Anti-windup adds L (clip(u[i]) - u[i])
-to its next states (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). If no force is clipped,
-this term is exactly zero. While all forces are clipped, the states follow the matrix A - L C.
+to x_c[i+1] (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). If no force is clipped, this
+term is exactly zero. While all forces are clipped, the states follow the matrix A - L C.
 
-L is chosen so that all states then decay by the factor exp(-rate T) or faster in a sample period of T seconds. Poles inside
-this circle do not move. Poles outside are mirrored at the circle; an integrator, for example, then decays at twice the rate. L
-is the gain of a Kalman filter with a prescribed degree of stability, in the limit of large measurement noise (Anderson, Moore
-1971, Linear Optimal Control). The result does not depend on the units of the states.
+The gain L is chosen so that, while all forces are clipped, the states decay at least by the factor exp(-rate T) in a sample
+period of T seconds. Poles inside the circle with the radius exp(-rate T) do not move. Poles outside are mirrored at the circle.
+An integrator, for example, then decays at twice the rate. L is the gain of a Kalman filter with a prescribed degree of
+stability, in the limit of large measurement noise (Anderson, Moore 1971, Linear Optimal Control). The result does not depend on
+the units of the states.
 """
 
 import numpy as np
@@ -17,16 +18,16 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 
-# A pole of A - L C that is outside the circle by more than SLACK shows that rounding errors have spoilt L. A product of rate
-# and T below SLACK is not allowed.
+# If a pole of A - L C is outside the circle by more than SLACK, rounding errors have made L useless. The product of rate and T
+# must be at least SLACK.
 SLACK = 1e-6
 
 
 def anti_windup_gain(law: LinearLaw) -> Array:
-    """Returns L of a discrete law, shape (k, m); zero without anti-windup.
+    """Returns the anti-windup gain L of a discrete law, shape (k, m); zero without anti-windup.
 
     Args:
-        law: law as implemented; see `LinearLaw.sampled`.
+        law: law as a computer executes it; see `LinearLaw.sampled`.
 
     Raises:
         InputError: the rate is too small for the sample period, or a state that is too slow has almost no effect on the forces.
@@ -54,10 +55,10 @@ def anti_windup_gain(law: LinearLaw) -> Array:
 
 
 def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
-    """Returns the L for which A - L C has the poles of A, with those outside a circle mirrored at the circle.
+    """Returns the gain L for which A - L C has the poles of A, but with poles outside a circle mirrored at the circle.
 
-    Poles are mirrored one by one, or in complex pairs. Mirroring several close poles together would lose all digits. The weight
-    `dear` includes the previous corrections, so the order of the poles does not matter.
+    Poles are mirrored one after another, complex poles in pairs. Mirroring several close poles together would lose all digits.
+    The weight `dear` includes the previous corrections, so the order of the poles does not matter.
 
     Raises:
         LinAlgError, ValueError: a pole outside the circle is not observable through C.

@@ -1,7 +1,7 @@
 """Table of the options that can be combined in a controller's section, and of the commands that accept them.
 
-Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` gives a reason against it. The messages
-about refused combinations and the table in the documentation are generated from this table.
+Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` contains a reason why they cannot. The
+messages about refused combinations and the table in the documentation are generated from this table.
 """
 
 from collections.abc import Collection, Mapping
@@ -116,7 +116,7 @@ def goes(what: str, parts: Collection[str]) -> bool:
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each as it is written in the section. Values are not checked."""
+    """Returns the parts of a section, each in the form in which the section contains it. Values are not checked."""
     tolerance = section.get("tolerance")
     errors = [isinstance(one, Mapping) for one in tolerance.values()] if isinstance(tolerance, Mapping) else []
     goal_keys = [key for key in GOALS if key in section and not (key == "tolerance" and errors and all(errors))]
@@ -135,7 +135,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     if not parts and not goal_keys and not {"order", "design"} & section.keys():
         parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
-    of_law = filtered or "order" in parts  # `structure` then describes the law; it is not a goal for a static gain
+    of_law = filtered or "order" in parts  # in this case, `structure` describes the law, and is not a goal for a static gain
     if goals := [key for key in goal_keys if not (of_law and key == "structure")]:
         parts["goals"] = goals[0]
     parts |= {key: key for key in ("fastest_pole", "anti_windup", "family", "loads") if key in section}
@@ -155,7 +155,8 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
         parts: parts of the controller's section as written in the file; the type of the controller comes first.
 
     Raises:
-        InputError: two parts cannot be combined. The message gives the reason, and the parts that each can be combined with.
+        InputError: two parts cannot be combined. The message gives the reason and, for each of the two parts, the alternatives
+            that it can be combined with.
     """
     for one, other in combinations(parts, 2):
         if why := refusal(one, other):
@@ -182,11 +183,11 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part, with a list of the alternatives to another part that it can be combined with.
+    """Returns a part as text, with a list of the alternatives to another part that can be combined with it.
 
     Args:
         part: the part.
-        beside: the other part.
+        beside: the part that the alternatives replace.
         written: the part as written in the section.
     """
     if {part, beside} <= KINDS.keys():

@@ -14,10 +14,10 @@ class LawStructure:
     """Structure of a law that is designed.
 
     Attributes:
-        order: number of states. With `rows`, the number applies to each force's own law. 0 for PI and PID, whose structure
-            defines the number of states.
+        order: number of states. If there are `rows`, the number applies to the law of each force. The number is 0 for PI and
+            PID, whose structure defines the number of states.
         rows: a row for each force, with True for each measurement that may act on this force. Each force then has its own law.
-            None for one law from all measurements to all forces.
+            None means one law from all measurements to all forces.
         kind: "pi" or "pid"; empty for a law with a given order.
         filter: time constant of the derivative's low-pass filter [s]; 0 without a derivative.
     """
@@ -38,7 +38,7 @@ class LawStructure:
         return {"structure": self.kind} if self.kind else {"order": self.order}
 
     def states(self, forces: int) -> int:
-        """Returns the largest number of states of a law for a number of forces, without the states of PI and PID laws."""
+        """Returns the largest number of states of a law with a number of forces; states of PI and PID laws are not counted."""
         return self.order * (forces if self.rows is not None else 1)
 
 
@@ -61,7 +61,7 @@ class DesignRequest(Demands, LawSource):
         design: "full" for the full-order H-infinity controller, or one of `DESIGNS`. Empty for a law with a `structure`, and
             for the two-step design.
         structure: structure of the law; None for a law without restrictions, or for a static gain.
-        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all other designs.
+        preview: time for which the design `PREVIEW` knows the road ahead [s]; 0 for all other designs.
         sampled: True for a design for the sampled loop.
     """
 

@@ -1,8 +1,8 @@
 """Filters of a vehicle file: frequency weights, such as those of ISO 2631-1, and the shape of a road spectrum.
 
-A filter is a stable and proper ratio of polynomials in s, or several such ratios in series. The states of each ratio are in
-controllable form with its own unit of time. The coefficients are those of the vehicle file, except for the rounding error of a
-division.
+A filter is a stable and proper ratio of polynomials in s, or several such ratios in series. The state-space form of each ratio
+is the controllable form, with a separate unit of time. The coefficients are the same as in the vehicle file, except for the
+rounding error of a division.
 
 A weight may have one pole at 0, an integrator: F(s) = r / s + F_0(s), where r is the residue at 0, and F_0 is stable and
 proper.
@@ -13,7 +13,8 @@ With w_i = 2 pi f_i,
     H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
            * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2.
 
-The factors are the band limits, the transition from acceleration to velocity, and the upward step, which W_d does not have.
+The factors of these filters are the band limits, the transition from acceleration to velocity, and the upward step. W_d does
+not have an upward step.
 """
 
 import functools
@@ -34,7 +35,7 @@ from models.laws.linear import LinearLaw
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, constants of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
-HORIZONTAL = 2.0  # Hz, replaces f3 and f4 in W_d
+HORIZONTAL = 2.0  # frequency that replaces f3 and f4 in W_d [Hz]
 
 Biquad = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, in descending powers of s
 
@@ -62,9 +63,10 @@ WEIGHTINGS: dict[str, tuple[Biquad, ...]] = {
 
 POLYNOMIALS = ("numerator", "denominator")
 MOST = 12  # largest degree of a polynomial; roots of higher degrees are sensitive to rounding errors
-SMALLEST, LARGEST = 1e-60, 1e60  # range of a coefficient's magnitude: degree 12 with the fastest pole still fits
-SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, range of a pole; others are irrelevant for roads and cars
-LEAST, MOST_GAIN = 1e-12, 1e12  # range of the peak gain; outside, rounding errors dominate
+# Range of a coefficient's magnitude; a polynomial of degree 12 with the fastest pole is still inside
+SMALLEST, LARGEST = 1e-60, 1e60
+SLOWEST, FASTEST = 1e-6, 1e7  # range of a pole's magnitude [rad/s]; poles outside are irrelevant for roads and cars
+LEAST, MOST_GAIN = 1e-12, 1e12  # range of the peak gain; outside this range, rounding errors dominate
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Filter:
         integrates: True if its only section may have a pole at 0.
 
     Raises:
-        InputError: a polynomial is invalid, zero, or has a too high degree, the filter is improper or unstable, or a pole or
+        InputError: a polynomial is invalid or zero, or its degree is too high; the filter is improper or unstable; or a pole or
             the gain is out of range.
     """
 
@@ -94,7 +96,7 @@ class Filter:
     def response(self, omega: Array) -> Array:
         """Returns the frequency response, complex, same shape as omega [rad/s].
 
-        An integrator has the response 0 at frequency 0, because the mean of an integral is arbitrary.
+        At frequency 0, the response of an integrator is set to 0, because the mean of an integral is arbitrary.
         """
         omega = np.asarray(omega, dtype=float)
         free = (omega == 0) & bool(self.residue)
@@ -104,7 +106,7 @@ class Filter:
 
     @functools.cached_property
     def residue(self) -> float:
-        """The factor r of the integrator in the filter; 0 if the filter has no pole at 0."""
+        """Factor r of the integrator r / s in the filter; 0 if the filter has no pole at 0."""
         (above, below), *_ = self.sections
         return above[-1] / below[-2] if self.integrates and not below[-1] else 0.0
 
@@ -123,7 +125,7 @@ class Filter:
     def realisation(self) -> LinearLaw:
         """State-space form of all sections in series, in units that are powers of two.
 
-        The state of an integrator is the last.
+        The state of an integrator is the last state.
         """
         if not self.residue:
             return self._states(self.sections)
@@ -133,7 +135,7 @@ class Filter:
 
     @property
     def _remaining(self) -> tuple[Biquad, ...]:
-        """The sections of F_0. For N / (s D), F_0 is (N - r D) / (s D), whose numerator is divisible by s."""
+        """The sections of F_0. For a filter N / (s D), F_0 is (N - r D) / (s D), whose numerator is divisible by s."""
         if not self.residue:
             return self.sections
         (above, below), *_ = self.sections

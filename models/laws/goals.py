@@ -39,12 +39,13 @@ CORNER = "corner"
 PERFORMANCE = "performance"
 FORCE = "force"  # key of a tolerance for the forces of all actuators
 SMALLEST = 1e-9
-HIGHEST = 1e6  # Hz, largest frequency of a band, far above all dynamics of a vehicle
+HIGHEST = 1e6  # largest frequency of a band [Hz], far above all dynamics of a vehicle
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
 EITHER = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-ERROR = SI("1", "", 0.0, 0.9, EITHER)  # a sensor with a relative error of 1 would carry no information
+# Relative errors are limited, because a sensor with a relative error of 1 would carry no information
+ERROR = SI("1", "", 0.0, 0.9, EITHER)
 COEFFICIENTS = ", or numerator and denominator as coefficients in descending powers of s"
 WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of an error that is equal at all frequencies
 
@@ -165,7 +166,7 @@ class EnergyBound(Section):
 
 @dataclass(frozen=True)
 class DecayBound(Section):
-    """Bound on the poles: their real parts are below minus this rate."""
+    """Bound on the poles: all real parts are below minus this rate."""
 
     decay: Annotated[float, SI("rad/s", "smallest rate of decay of the loop", SMALLEST)]
 
@@ -306,7 +307,7 @@ class Goals(Section):
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Signals that are minimised or bounded, in addition to those of `[performance]`."""
+        """Signals that are minimised or bounded, in addition to the signals in `[performance]`."""
         norms = (self.minimise, *(bound for bound in self.bounds if isinstance(bound, NormBound)))
         peaks = [bound.peak for bound in self.bounds if isinstance(bound, PeakBound)]
         peaks += [bound.energy_peak for bound in self.bounds if isinstance(bound, EnergyBound)]

@@ -1,4 +1,4 @@
-"""Base classes of controllers, as simulations use them, and of the sources of control laws in vehicle files."""
+"""Base classes of the controllers that simulations use, and of the sources of control laws in vehicle files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,7 +12,7 @@ Design = Callable[[str], T]  # function that designs a linear controller with a 
 
 
 class ControlLaw:
-    """Base class of all controllers. The defaults are those of a law without states, preview, own delay and certificate.
+    """Base class of all controllers. The defaults are those of a law without states, preview, additional delay and certificate.
 
     A controller also has the attributes `linear`, True if linear analysis applies, and `user_code`, True for a Python law.
     """
@@ -24,7 +24,7 @@ class ControlLaw:
     preview = None  # force that depends on the road ahead, a `RoadPreview`
     code: Any = None  # the `ExportedCode` that computes the outputs in runs
     implemented = True  # False if the sampling, delay and rate limit of the vehicle file do not apply
-    false_claims: tuple[str, ...] = ()  # claims of the certificate that are not true, as text
+    false_claims: tuple[str, ...] = ()  # descriptions of the certificate's claims that are not true
     specifications = ()  # specifications for which the law is designed or evaluated
 
     @property
@@ -44,11 +44,11 @@ class ControlLaw:
 
     @property
     def own_delay(self) -> float:
-        """Delay of the outputs that is part of the law [samples]."""
+        """Delay of the outputs that is part of the law itself [samples]."""
         return 0
 
     def preview_samples(self, period: float) -> int:
-        """Returns the number of road heights under each wheel that the law uses, including the present one; 0 without preview.
+        """Returns how many road heights the law uses for each wheel, including the present height; 0 without preview.
 
         Args:
             period: sample period [s].
@@ -56,19 +56,19 @@ class ControlLaw:
         return 0
 
     def state_scale(self, period: float) -> float:
-        """Returns the factor that converts the states in a run of a linear law to the states of the law itself."""
+        """Returns the factor from the states of a linear law in a run to the states of the law itself."""
         return 1.0
 
 
 class LawSource:
     """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
-    A source also has the attributes `given`, its `LinearLaw`, and `request`, its `DesignRequest`. Each is None for other
-    sources.
+    A source also has the attributes `given`, its `LinearLaw`, and `request`, its `DesignRequest`. Each attribute is None if the
+    source is of another type.
     """
 
     linear = True  # False if linear analysis does not apply to the law
-    sample_period: float | None = None  # sample period of a given discrete-time law [s]
+    sample_period: float | None = None  # sample period of a discrete-time law that is given, not designed [s]
     title = "a linear law"  # type of the law with its article, and its file
 
     @property
@@ -93,7 +93,7 @@ class LawSource:
     def values(self) -> dict[str, float | None]:
         """Numbers of the law by key, such as `gain[0][1]` for an entry of a matrix.
 
-        None is the value of a number with its default. The mapping is empty for laws without numbers.
+        The value None means that the number has its default value. The mapping is empty for laws without numbers.
         """
         return {}
 
@@ -108,8 +108,8 @@ class LawSource:
             name: name of the controller.
             measured: names of its measured signals.
             design: function that designs or certifies a linear controller with a given name.
-            read: function that returns the text of a Python law; by default, the text is read from the law's file. The text is
-                not executed.
+            read: function that returns the text of a Python law; by default, the text is read from the law's file. This
+                function does not execute the text.
 
         Raises:
             InputError: the file of the law cannot be read, or `design` raises this error.
@@ -118,5 +118,5 @@ class LawSource:
 
 
 def no_design(name: str) -> NoReturn:
-    """Raises InputError instead of designing a linear controller."""
+    """Raises an InputError, because this law is not a linear controller that can be designed."""
     raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")

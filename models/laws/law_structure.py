@@ -26,7 +26,7 @@ from models.laws.goals import Goals, corner_rows
 from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
-ITS_GAINS = "designed gains: "  # begins the remark about a PI or PID law that is designed
+ITS_GAINS = "designed gains: "  # beginning of the remark about a PI or PID law that is designed
 ORDER = {"anyOf": [{"enum": [STATIC, FULL]}, {"type": "integer", "minimum": 0, "maximum": MOST_STATES}]}
 GAIN = {"type": ["number", "array"]}
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
@@ -49,7 +49,7 @@ def pid_filter(kind: str, filter: float) -> LinearLaw:
 
 
 def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
-    """Returns a system that contains a number of copies of another system, one copy per signal."""
+    """Returns a system that consists of independent copies of another system, one copy per signal."""
     return LinearLaw(
         *(np.kron(np.eye(count), getattr(one, name)) for name in ("A", "B", "C", "D")), sample_period=one.sample_period
     )
@@ -125,7 +125,7 @@ class StructureSection(Goals):
     def pid_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
         """Returns the PID law with given numbers, without states that have no effect; None for any other law.
 
-        Arguments and errors are those of `law_structure`.
+        For arguments and errors, see `law_structure`.
         """
         pid = self.pid
         if pid is None or self.structure in PATTERNS:
@@ -143,14 +143,16 @@ class StructureSection(Goals):
             K[range(m), range(part, 3 * m, 3)] = gains or 0.0
         law = side_by_side(pid_filter(PID, pid.filter or 1.0), m)
         C, D = K @ law.C, K @ law.D
-        kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of each other
+        # States without effect can be removed, because the states are independent of each other
+        kept = np.flatnonzero(np.any(C != 0, axis=0))
         return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
 
 
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
     """Returns the numbers of a PI or PID law for each force, as in `pid` of a vehicle file; empty for any other law.
 
-    Its states are integrals and filtered signals. They have the poles 0 and -1 / filter, and the input gains 1 and 1 / filter.
+    The states of this law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
+    signals. The input gains are 1 and 1 / filter.
     """
     rates = -np.diag(law.A)
     signals, forces = np.nonzero(law.B), np.nonzero(law.C.T)
@@ -190,7 +192,7 @@ def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
 def _one_each(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
     """Returns a row for each force, with True for its measurement; each measurement acts on one force.
 
-    `what` is for messages.
+    `what` names the structure in messages.
     """
     m, q = len(corners), len(measured)
     if q == m and not any(corners.values()):

@@ -14,14 +14,16 @@ from models.common.errors import InputError
 from models.common.printed import entry, rough
 from models.laws.law import LawSource
 
-FEWER = "of at most"  # begins a remark about a law with fewer states than the design allows
+FEWER = "of at most"  # part of the remark about a law with fewer states than the design allows
 MATRICES = ("A", "B", "C", "D")
-ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # key of one number of a law
+ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key of one number of a law
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # matrices of `models.laws.preview`
 MOST_STATES = 200  # largest number of states of a law; a typical controller has some dozens
 LARGEST = 1e15  # largest magnitude of an entry; for larger entries, rounding errors would dominate
 ROUNDING = 1e-7  # relative rounding error of the poles of a double integrator
-SINGULAR = 1e-12  # smallest relative singular value of an algebraic loop through the measurements; below it, no digit is reliable
+# Smallest relative singular value of an algebraic loop through the measurements; if it is smaller, no digit of the result is
+# reliable
+SINGULAR = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +124,7 @@ class LinearLaw(LawSource):
 
     @property
     def growth(self) -> float:
-        """Growth rate of the fastest growing state without measurements [1/s]; 0 if no state grows by more than
-        rounding errors.
-        """
+        """Growth rate of the fastest growing state without feedback [1/s]; 0 if no state grows by more than rounding errors."""
         if not self.states:
             return 0.0
         poles, size = np.linalg.eigvals(self.A), float(np.abs(self.A).max())
@@ -145,7 +145,7 @@ class LinearLaw(LawSource):
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:
-        """Returns the factor that converts the states of `sampled(period)` to those of this law.
+        """Returns the factor that converts the states of `sampled(period)` to the states of this law.
 
         Args:
             period: sample period [s]; None for the states of `continuous()`.
@@ -164,7 +164,9 @@ class LinearLaw(LawSource):
         return replace(self, C=rows * self.C, D=rows * self.D)
 
     def only(self, forces: Array) -> "LinearLaw":
-        """Returns the law in which only selected forces are not zero. Together with `scaled`, it opens a loop at actuators.
+        """Returns the law in which only selected forces are not zero.
+
+        Together with `scaled`, this function opens the loop at actuators.
 
         Args:
             forces: True for each force that remains, shape (m,).
@@ -173,7 +175,7 @@ class LinearLaw(LawSource):
         return replace(self, C=np.where(rows, self.C, 0.0), D=np.where(rows, self.D, 0.0))
 
     def fed_back(self, through: Array) -> "LinearLaw":
-        """Returns the law for the measurements y0, from this law for y = y0 + `through` u, by solving the algebraic loop.
+        """Returns the law for measurements y0, if this law is for y = y0 + `through` u; solves the algebraic loop.
 
         Args:
             through: feedthrough from the forces to the measurements, shape (q, m).
@@ -191,7 +193,7 @@ class LinearLaw(LawSource):
     def continuous(self) -> "LinearLaw":
         """Returns the law in continuous time.
 
-        A discrete law is converted to the continuous law of which it is the bilinear (Tustin) transform.
+        For a discrete law, this is the continuous law whose bilinear (Tustin) transform is the discrete law.
 
         Raises:
             InputError: the law has a pole at -1, or the result has entries that exceed `LARGEST`.
@@ -229,10 +231,10 @@ class LinearLaw(LawSource):
     def sampled(self, period: float) -> "LinearLaw":
         """Returns the law as a computer executes it, at a given sample period.
 
-        The states of a continuous law are exact for measurements that change linearly between samples (ramp-invariant or
-        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike a held measurement, this adds no delay. A state
-        that is fast relative to the period settles immediately; with Tustin's rule, it would oscillate. A discrete law is
-        unchanged at its own sample period.
+        For a continuous law, the states are exact if the measurements change linearly between samples (ramp-invariant or
+        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike measurements that are held between samples, this
+        method adds no delay. A state that is fast relative to the period settles immediately, but would oscillate with Tustin's
+        rule. A discrete law is unchanged at its own sample period.
 
         Args:
             period: sample period [s].
@@ -262,10 +264,12 @@ class LinearLaw(LawSource):
 
 
 def without_loop(direct: Array) -> Array:
-    """Returns I - `direct`, shape (m, m). Its inverse solves the algebraic loop of forces that act directly on measurements.
+    """Returns I - `direct`, shape (m, m).
+
+    The inverse of this matrix solves the algebraic loop that arises if forces act directly on measurements.
 
     Args:
-        direct: feedthrough from the actual forces to the forces that the law then requests, shape (m, m).
+        direct: feedthrough from the actual forces to the requested forces, shape (m, m).
 
     Raises:
         InputError: I - `direct` is singular.
@@ -291,7 +295,7 @@ def static_law(gain: Array) -> LinearLaw:
 
 
 def unchecked_static_law(gain: Array) -> LinearLaw:
-    """Returns the control law u = K y with a gain in any units, even with entries that exceed `LARGEST`."""
+    """Returns the control law u = K y for a gain in any units, whose entries may exceed `LARGEST`."""
     m, q = np.shape(gain)
     law = static_law(np.zeros((m, q)))
     object.__setattr__(law, "D", gain)

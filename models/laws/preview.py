@@ -5,8 +5,9 @@ wheels:
 
     F(s) = C exp(A s) [B, H]    on [w; z_r].
 
-A computer knows the road only at its samples. The preview is exact for a road that changes linearly between samples, as a law
-with states is for such measurements (`models.laws.linear`). It is then a sum over the heights at the coming samples.
+A computer knows the road only at its samples. The preview is exact for a road that changes linearly between samples. In the
+same way, a law with states is exact for measurements that change linearly (`models.laws.linear`). For such a road, the preview
+force is a weighted sum of the road heights at the coming samples.
 """
 
 from collections.abc import Mapping
@@ -22,15 +23,15 @@ from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
 from models.laws.python_law import AHEAD, samples_ahead
 
 COMPARED_SAMPLES = 100  # number of samples at which two previews are compared
-MOST_PRODUCTS = 2e9  # number of products in a sum that is computed term by term; they take about 1 s
+MOST_PRODUCTS = 2e9  # largest number of products in a sum that is computed term by term; they take about 1 s
 
 
 @dataclass(frozen=True, eq=False)
 class RoadPreview:
-    """Feedforward force from the road ahead; the module describes its formula.
+    """Feedforward force from the road ahead. Its formula is in the docstring of the module.
 
     Attributes:
-        seconds: T, the time by which the road under every wheel is known ahead [s].
+        seconds: preview time T, for which the road ahead of every wheel is known [s].
         A: state matrix, shape (k, k).
         B: input matrix of the road velocities, shape (k, r).
         H: input matrix of the road heights, shape (k, r).
@@ -65,7 +66,7 @@ class RoadPreview:
         return {"seconds": self.seconds} | {name: getattr(self, name).tolist() for name in PREVIEW_MATRICES}
 
     def samples(self, period: float) -> int:
-        """Returns the number of heights under each wheel that a computer uses, including the present one.
+        """Returns how many heights a computer uses for each wheel, including the present height.
 
         Args:
             period: sample period of the preview [s].
@@ -80,10 +81,12 @@ class RoadPreview:
         count, (k, r), m = self.samples(period), self.B.shape, len(self.C)
         if count == 1:
             return np.zeros((1, m, r))
-        step = np.zeros((3 * k, 3 * k))  # gives the integrals over a sample of exp(A s) and of exp(A s) s / period
+        # The exponential of this matrix contains the integrals of exp(A s) and exp(A s) s / period over a sample
+        step = np.zeros((3 * k, 3 * k))
         step[:k, :k], step[:k, k : 2 * k], step[k : 2 * k, 2 * k :] = period * self.A, np.eye(k), np.eye(k)
         whole = linalg.expm(step)
-        level, fall = period * whole[:k, k : 2 * k], period * whole[:k, 2 * k :]  # fall: integral of exp(A s) (1 - s / period)
+        # `fall` is the integral of exp(A s) (1 - s / period)
+        level, fall = period * whole[:k, k : 2 * k], period * whole[:k, 2 * k :]
         rise = level - fall
         near, far = fall @ self.H - level @ self.B / period, rise @ self.H + level @ self.B / period
         weights, row = np.zeros((count, m, r)), self.C
@@ -94,9 +97,10 @@ class RoadPreview:
         return weights
 
     def difference(self, other: "RoadPreview") -> float:
-        """Returns the largest difference between the weights of two previews, relative to the largest weight of the other one.
+        """Returns the largest difference between the weights of two previews, relative to the largest weight of the other
+        preview.
 
-        Infinity if T or a shape differs.
+        The difference is infinite if the preview times or shapes differ.
         """
         if self.seconds != other.seconds:
             return np.inf
@@ -104,11 +108,11 @@ class RoadPreview:
         return float(np.abs(one - two).max() / (np.abs(two).max() or 1.0)) if one.shape == two.shape else np.inf
 
     def forces(self, heights: Array, steps: int, timestep: float, samples: int) -> Array:
-        """Returns the forces along a road, each held from sample to sample, shape (T, m).
+        """Returns the preview forces along a road, which are held from sample to sample, shape (T, m).
 
         Args:
-            heights: heights of the road [m] at the timesteps of a run, and after its end up to the preview time, shape
-                (T + ahead, r).
+            heights: heights of the road [m] at the timesteps of a run and, after its end, of the preview time, shape (T +
+                ahead, r).
             steps: timesteps between two samples of the controller.
             timestep: timestep of the heights [s].
             samples: T, number of timesteps of the run.
@@ -140,9 +144,9 @@ class RoadPreview:
 
 
 def _correlate(heights: Array, weights: Array) -> Array:
-    """Returns the correlation of heights with weights at all positions at which they overlap completely.
+    """Returns the correlation of heights with weights, at all positions where the weights lie completely within the heights.
 
-    Long signals are correlated by Fourier transforms.
+    For long signals, the correlation is computed by Fourier transforms.
     """
     if len(heights) * len(weights) <= MOST_PRODUCTS:
         return np.correlate(heights, weights, "valid")

@@ -1,7 +1,8 @@
 """Controllers in the user's Python code: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function passed to `sim.run`.
 
-This module reads the code but does not execute it. Linear analysis does not apply to these laws. Their files must be in the
-folder of the vehicle file or below it. No log, result or text of a vehicle file can refer to another file.
+This module reads the code but does not execute it. Linear analysis does not apply to these laws. The files of these laws must
+be in the folder of the vehicle file, or in folders below it. A log, a result, or a vehicle file given as text cannot refer to
+another file.
 """
 
 import hashlib
@@ -32,11 +33,11 @@ TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annota
 
 @dataclass(frozen=True)
 class PythonLaw(LawSource):
-    """Law in Python, or an FMU, as a vehicle file refers to it.
+    """A law in Python, or an FMU, as a vehicle file refers to it.
 
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
-        preview: time by which the law knows the road ahead [s]; None if the law does not receive the road.
+        preview: time for which the law knows the road ahead [s]; None if the law does not receive the road.
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot run.
         inputs: signal for each input variable of an FMU whose name is not a signal name.
         outputs: force for each output variable of an FMU whose name is not a signal name.
@@ -112,7 +113,7 @@ class PythonLaw(LawSource):
     def source(self) -> str:
         """Returns the text of the law's file without executing it.
 
-        For an FMU, it is a text that steps the FMU, with its checksum.
+        For an FMU, it is Python code that steps the FMU, and that contains the checksum of the FMU.
 
         Raises:
             InputError: the file does not exist, is too large, or is not text.
@@ -132,7 +133,7 @@ class PythonLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class PythonController(ControlLaw):
-    """Controller with a Python law, and the text that is executed. Linear analysis does not apply to it.
+    """Controller with a Python law, and the text that is executed. Linear analysis does not apply to this controller.
 
     Attributes:
         name: name in the vehicle file.
@@ -174,7 +175,7 @@ class PythonController(ControlLaw):
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
             if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
                 return int(computer.attrib["delay"])
-        return 0  # the first step refuses a file that is not an FMU
+        return 0  # a file that is not an FMU is refused at the first step
 
     def preview_samples(self, period: float) -> int:
         """See `ControlLaw`."""
@@ -207,11 +208,14 @@ def is_driver(given: object) -> bool:
 
 
 def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
-    """Returns the controller of a function or driver. Its attributes `measured` and `preview` [s] are as in a vehicle file.
+    """Returns the controller of a function or driver.
+
+    The function may have the attributes `measured` and `preview` [s], with the same meaning as in a vehicle file.
 
     Args:
         function: the function or driver.
-        measurable: signals that a controller can measure. A function without an attribute `measured` measures all of them.
+        measurable: signals that a controller can measure. A function without an attribute `measured` receives all of these
+            signals.
 
     Raises:
         InputError: an attribute is not allowed.
@@ -226,7 +230,7 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
             )
     try:
         source = inspect.getsource(function)
-    except (OSError, TypeError):  # typed at a prompt, or an object
+    except (OSError, TypeError):  # the function was typed at a prompt, or is an object
         source = ""
     ahead = None if preview is None else AHEAD.number(f"{name} preview", preview)
     return PythonController(name, measured, PythonLaw(name, ahead), source, function)
@@ -238,7 +242,7 @@ def sha256(text: str) -> str:
 
 
 def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mapping[str, Any]) -> str:
-    """Returns a text whose file is in the folder of the vehicle file or below it. Opens no file."""
+    """Returns the text of a file that must be in the folder of the vehicle file or below it. Opens no file."""
     match = pattern.fullmatch(value) if isinstance(value, str) else None
     if match is None or Path(match["file"]).is_absolute() or value.startswith("~") or ".." in Path(match["file"]).parts:
         raise InputError(f"{HERE} = {short_repr(value)} is not {expected}")
@@ -246,7 +250,7 @@ def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mappin
 
 
 def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the signals by names of an FMU's variables."""
+    """Returns the signals by the names of the FMU's variables."""
     if not isinstance(value, Mapping) or not all(isinstance(signal, str) for signal in value.values()):
         example = '{ In1 = "suspension_deflection" } for inputs, or { Out1 = "control_force" } for outputs'
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a signal for each variable, as in {example}")

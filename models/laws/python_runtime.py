@@ -2,8 +2,8 @@
 
 A law is a function `step(sample, state)` that returns the force and the next state, or `law(t, y)` that returns the force.
 
-Every run executes the file of the law again. The global names of the file and the state of the law therefore belong to one run,
-and runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
+Every run executes the file of the law again. Every run therefore has its own global names of the file and its own state of the
+law, so runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
 
 A law in a file runs in a child process (`FileRuns`). The child is terminated if one call, or all calls of a run together, take
 too long. The limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function passed by the caller runs in the
@@ -29,9 +29,9 @@ from models.common.errors import InputError, short_repr
 from models.laws.python_law import PythonController
 from models.laws.user_code import compile_file, reason
 
-LONGEST = 10.0  # s, limit of the calls in one sample; a typical law takes microseconds
-SLOWEST = 100.0  # limit of all calls in a run, relative to its simulated time; `LONGEST` is added
-LONGEST_START = 60.0  # s, limit for executing the file, which may import large packages
+LONGEST = 10.0  # time limit for the calls in one sample [s]; a typical law takes microseconds
+SLOWEST = 100.0  # time limit for all calls in a run, relative to its simulated time; `LONGEST` is added
+LONGEST_START = 60.0  # time limit for executing the file [s], which may import large packages
 SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time"
 
 
@@ -39,7 +39,8 @@ class Sample:
     """Arguments of a law at a sample.
 
     Attributes:
-        y: measurements in the order of `measured`, shape (q,). `sample["sprung_velocity"]` returns one of them by name.
+        y: measurements in the order of `measured`, shape (q,). `sample["sprung_velocity"]` returns a single measurement by its
+            name.
         time: time since the start [s].
         period: time until the next sample [s].
         preview: road heights [m], shape (r, P): a row per wheel, a column for the present sample and for each of the next
@@ -60,7 +61,7 @@ class Sample:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Names of the measurements in `y`, in its order."""
+        """Names of the measurements, in the order of `y`."""
         return tuple(self._index)
 
     def __getitem__(self, signal: str) -> Any:
@@ -73,11 +74,13 @@ class OwnLaw:
     """One execution of a law, with its state and the global names of its file.
 
     Attributes:
-        vectorised: True if one call computes all runs, as given by the attribute of this name of the function.
+        vectorised: True if one call computes all runs. The function has an attribute with this name.
     """
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Executes the file of the law. A function with a method `reset` is reset, another function is copied with its state.
+        """Executes the file of the law.
+
+        A function of the caller is reset if it has a method `reset`, and otherwise copied with its state.
 
         Args:
             controller: controller with the law.
@@ -127,7 +130,10 @@ class OwnLaw:
         return self._run(self._name, lambda: self._called(sample, (*y.shape[:-1], self._forces)), time)
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
-        """Calls the law once and checks its result. Methods of the result may be user code as well."""
+        """Calls the law once and checks its result.
+
+        The check is included because methods of the result may also be user code.
+        """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it returns {_short(given)}, not two values; end the function with: return force, state")
@@ -140,7 +146,8 @@ class OwnLaw:
             forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
             raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N") from None
-        scalar = shape[-1] == 1 and forces.shape == shape[:-1]  # for one actuator, a number is enough
+        # For a single actuator, the result may be a number instead of an array
+        scalar = shape[-1] == 1 and forces.shape == shape[:-1]
         if forces.shape != shape and not scalar:
             raise InputError(f"its force has shape {forces.shape}; expected {shape}, one number for each actuator")
         if not np.all(np.isfinite(forces)):
@@ -152,7 +159,8 @@ class OwnLaw:
         try:
             return code()
         except BaseException as error:
-            if self._path is None and not isinstance(error, Exception):  # the caller's process exits, or received Ctrl-C
+            # An exit or Ctrl-C in the caller's own process is passed on
+            if self._path is None and not isinstance(error, Exception):
                 raise
             if self._fmu and isinstance(error, InputError):
                 raise InputError(f"{self._what}{f', at {time:.6g} s' if time else ''}: {error}") from error
@@ -163,19 +171,19 @@ class OwnLaw:
 def anew(function: Any) -> Any:
     """Returns a copy of a function with its closure, attributes, object and global variables, in their state before the run.
 
-    A function with a method `reset` is returned without copying, and so is a function that cannot be copied.
+    Functions that have a method `reset`, or that cannot be copied, are returned unchanged.
     """
     if function is None or callable(getattr(function, "reset", None)):
         return function
-    import cloudpickle  # it can also copy functions
+    import cloudpickle  # unlike `copy`, cloudpickle can also copy functions
 
-    with suppress(Exception):  # any object in the function may raise any error
+    with suppress(Exception):  # objects that the function refers to may raise any error when they are copied
         return cloudpickle.loads(cloudpickle.dumps(function))
     return function
 
 
 class LawRuns:
-    """Runs of one controller. Each run executes its law; runs of a vectorised law share one execution.
+    """Runs of one controller. Every run executes the law separately, but runs of a vectorised law share one execution.
 
     Attributes:
         vectorised: True if one call computes all runs.
@@ -235,7 +243,7 @@ class LawRuns:
 
 
 class FileRuns:
-    """`LawRuns` of a law in a file, in a child process. If the process ends, all its runs fail."""
+    """`LawRuns` of a law in a file, which runs in a child process. If the process ends, all runs in it fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
         """Prepares runs with a number of forces. `add` adds the runs."""
@@ -269,7 +277,7 @@ class FileRuns:
             self._left -= clock() - began
 
     def _answer(self, name: str, longest: float, when: str, *message: Any) -> Any:
-        """Returns the answer of the child process. After the process has ended, always raises the same error."""
+        """Returns the answer of the child process. After the process has ended, every call raises the same error."""
         if self._error is None:
             try:
                 return self._child.ask(message, longest)
@@ -281,7 +289,8 @@ class FileRuns:
         raise self._error
 
 
-# Child processes that no run uses at the moment, by process; a forked process does not own those of its parent
+# Child processes that no run uses at present, by the process that started them; a forked process must not use the children of
+# its parent
 _idle: dict[int, list[Child]] = {}
 
 
@@ -316,17 +325,17 @@ def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
 
 
 def _pack_array(array: Array) -> tuple[str, tuple[int, ...], bytes]:
-    """Returns the parts of a small array. Pickling these parts takes a tenth of the time that pickling the array takes."""
+    """Returns the parts of a small array, which are pickled in a tenth of the time that the array itself takes."""
     return array.dtype.char, array.shape, array.tobytes()
 
 
 def _unpack_array(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
-    """Returns an array from its parts."""
+    """Returns the array that consists of these parts."""
     return np.frombuffer(content, dtype).reshape(shape).copy()
 
 
 def runs_of(controller: PythonController, forces: int) -> LawRuns | FileRuns:
-    """Returns the runs of a law: in a child process for a file, in this process for a function of the caller."""
+    """Returns the runs of a law. A law in a file runs in a child process, and a function of the caller in this process."""
     return (FileRuns if controller.function is None else LawRuns)(controller, forces)
 
 
@@ -336,7 +345,7 @@ def describe_law(controller: PythonController) -> str:
 
 
 def _takes_time(function: Any) -> bool:
-    """Returns True for a law of time and measurements, law(t, y), instead of a sample and a state."""
+    """Returns True for a law whose arguments are time and measurements, law(t, y), instead of a sample and a state."""
     try:
         return next(iter(inspect.signature(function).parameters), "") == "t"
     except (TypeError, ValueError):  # a function that is not written in Python has no signature

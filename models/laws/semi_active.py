@@ -1,12 +1,12 @@
 """Built-in semi-active laws: the coefficient of a semi-active damper as a function of the motion of its suspension.
 
-With the velocities z_s' and z_u' of body and wheel at a suspension, and its extension rate v = z_s' - z_u', a damper gives the
-force -c v. A law requests c. The damper clips c to its limits and holds it until the next sample. Delay and valve lag act on c,
-not on the force, which follows the present v. If a law requests a force F of the whole damper, such as that of a damper between
-body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
+At a suspension, body and wheel have the velocities z_s' and z_u'. The damper with the extension rate v = z_s' - z_u' gives the
+force -c v. A law requests c. The damper clips c to its limits and holds it until the next sample. Delay and valve lag affect c,
+but the force is always computed with the present v. If a law requests a force F of the whole damper, for example the force of a
+damper between body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
 
-Source of the names, and of the laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active
-Suspension Control Design for Vehicles (2010), chapters 3 and 6.
+The names of the laws, and the laws for which no other source is given, are from: Savaresi, Poussot-Vassal, Spelta, Sename,
+Dugard, Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,8 @@ STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
-CROSSOVER = 12.0  # rad/s, 1.9 Hz: slightly above the natural frequency of a car body, where skyhook and ADD are equally good
+# Default crossover [rad/s], 1.9 Hz: slightly above the natural frequency of a car body, where skyhook and ADD are equally good
+CROSSOVER = 12.0
 
 Quantity = Any  # an array for many dampers, or a number for one
 
@@ -34,17 +35,17 @@ class LawCoefficients:
     """Coefficients and geometry of N vehicles with m semi-active dampers each, or plain numbers for one damper.
 
     Attributes:
-        c_min: smallest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force over present
+        c_min: smallest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force divided by present
             velocity.
-        c_max: largest coefficient of the dampers [N s/m], shape (N, m), like `c_min`.
+        c_max: largest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force over present
+            velocity.
         sky: coefficients of the dampers between body and sky [N s/m], shape (N, m).
         ground: coefficients of the dampers between wheel and ground [N s/m], shape (N, m).
         stiffness: stiffness of the suspension springs [N/m], shape (N, m).
         modes: factors from the velocities of the body's b modes to the velocities at the suspensions, as two tuples of b arrays
-            of shape (N, m). The factors in the first tuple are also multiplied by the sky damping of the mode, relative to
-            `sky`.
-        mix: weight of skyhook in a hybrid law, 1 for skyhook alone and 0 for groundhook alone, shape (N, m).
-        crossover: frequency of the mixed law, with skyhook below and ADD above [rad/s], shape (N, m).
+            of shape (N, m). The factors in the first tuple also include the sky damping of the mode, relative to `sky`.
+        mix: weight of skyhook in a hybrid law, from 0 (only groundhook) to 1 (only skyhook), shape (N, m).
+        crossover: crossover frequency of the mixed law, which is skyhook below it and ADD above it [rad/s], shape (N, m).
         still: value that replaces a velocity of 0 [m/s].
     """
 
@@ -70,7 +71,7 @@ Law = Callable[..., Quantity]
 
 
 def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
-    """Returns `np.where` for arrays and for plain numbers."""
+    """Works like `np.where`, for arrays and for plain numbers."""
     if isinstance(condition, np.ndarray):
         return np.where(condition, this, that)
     return this if condition else that
@@ -87,7 +88,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper between body and sky if the damper can give its sign, else soft."""
+    """Continuous skyhook: the force of a damper between body and sky if the damper can give its sign, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -98,7 +99,7 @@ def groundhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity
 
 
 def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Weighted sum of the forces of a damper to the sky and one to the ground (Ahmadian 1997)."""
+    """Weighted sum of the forces of a damper between body and sky and a damper between wheel and ground (Ahmadian 1997)."""
     v = body - wheel
     sky = _choose(body * v > 0, -of.sky * body, 0.0)
     ground = _choose(-wheel * v > 0, of.ground * wheel, 0.0)
@@ -113,9 +114,9 @@ def acceleration_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, ac
 def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Quantity) -> Quantity:
     """PDD: spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
 
-    The damper is soft if its soft setting already dissipates the power of the spring, and hard if even its hard setting does
-    not. In between, it dissipates exactly this power. At zero velocity with a deflected spring, the coefficient is the mean of
-    both limits.
+    The damper is soft if its soft setting already dissipates the power that the spring releases. The damper is hard if even its
+    hard setting does not dissipate this power. Otherwise, the damper dissipates exactly this power. At zero velocity with a
+    deflected spring, the coefficient is the mean of both limits.
     """
     v = body - wheel
     spring = of.stiffness * travel
@@ -133,7 +134,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
     """Continuous skyhook of the body's modes: heave, pitch and roll each have a damper to the sky, shared among the corners."""
     damped = moved = 0.0
-    # Summed one by one, so that the result does not depend on the number of runs
+    # Terms are added one after another, so that the result does not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
         damped += to_sky * speed
         moved += share * speed
@@ -142,7 +143,7 @@ def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
 
 
 BOTH = (SPRUNG, UNSPRUNG)
-# For each name: the law, its measurements at every suspension, and its other keys.
+# For each name: the function of the law, its measurements at every suspension, and its other keys.
 LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook": (skyhook, BOTH, ()),
     "skyhook_linear": (skyhook_linear, BOTH, ("sky_damping",)),
@@ -226,7 +227,7 @@ class SemiActive(ControlLaw):
     Attributes:
         name: name in the vehicle file.
         law: the law.
-        code: the exported code that computes the outputs in runs; None if the law itself does.
+        code: the exported code that computes the outputs in runs; None if the law itself computes them.
     """
 
     linear: ClassVar[Literal[False]] = False

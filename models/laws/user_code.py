@@ -25,7 +25,7 @@ def compile_file(what: str, path: Path, text: str) -> CodeType:
     """
     try:
         return compile(text, str(path), "exec")
-    # For example a NUL character, or too many nested brackets
+    # The text may contain, for example, a NUL character or too many nested brackets
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise InputError(f"{what}: its code is not valid Python ({getattr(error, 'msg', error)}{where}); correct it") from error
@@ -59,6 +59,6 @@ def reason(error: BaseException, path: Path | None = None) -> str:
     """Describes an error: its type, its text, and the last executed line of the file."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     said = "" if isinstance(error, InputError) else type(error).__name__
-    with suppress(Exception):  # the text of an exception may be user code as well
+    with suppress(Exception):  # the text of an exception may also come from user code, which may fail
         said = ": ".join(text for text in (said, one_line(str(error))) if text)
     return said + (f", line {lines[-1]}" if lines else "")

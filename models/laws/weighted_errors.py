@@ -15,10 +15,11 @@ from models.laws.goals import FORCE
 class WeightedErrors:
     """Weights of dynamic uncertainties.
 
-    A force acts as u (1 + W Delta), a measurement as y (1 + W Delta), with any |Delta| <= 1.
+    A force u acts as u (1 + W Delta), and a measurement y is received as y (1 + W Delta), where Delta is any transfer function
+    with |Delta| <= 1.
 
     Attributes:
-        weights: W by name of a measured signal or of a force, or by `FORCE` for all forces.
+        weights: weight W by name of a measured signal or of a force, or by `FORCE` for all forces.
     """
 
     weights: Mapping[str, Filter]

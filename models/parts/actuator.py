@@ -1,4 +1,7 @@
-"""Actuator whose motion ratio changes with travel. For a constant ratio, the linear model contains the whole force."""
+"""Actuator whose motion ratio changes with travel.
+
+If the ratio is constant, the linear model contains the whole force, so this part is not needed.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +16,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class Actuator(Part):
-    """Force that pushes body and wheel apart. Its input u is the force [N]."""
+    """Force that pushes body and wheel apart. The input u of the part is the force [N]."""
 
     inputs = 1
 

@@ -1,15 +1,16 @@
-"""Semi-active dampers in their vehicle, and the characteristics that act in parallel.
+"""Semi-active dampers in a vehicle, and the characteristics that act in parallel with them.
 
 A characteristic in `[curves]` for a suspension with a semi-active damper acts in parallel with this damper, as the friction of
-a strut does. Only its deviation from its own linearisation at equilibrium acts, at every setting, because the semi-active
-damper replaces the linear part.
+a strut does. At every setting of the damper, only the deviation of this characteristic from its linearisation acts, because the
+semi-active damper replaces the linear part.
 
-With the nominal coefficient c_s and the set coefficient c_s + d, the damper and the parallel characteristic together pull with
+If c_s is the nominal coefficient and c_s + d the set coefficient, the damper and the parallel characteristic together pull with
+the force
 
     c_s v + g(v) + d h(v).
 
-Here h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The deviation g is that
-of the nominal setting from its linearisation, plus that of the parallel characteristic.
+Here h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The deviation g is the
+sum of two deviations from linearisations: of the nominal setting, and of the parallel characteristic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +30,7 @@ from models.parts.characteristic import departures
 from models.parts.native import Tendon
 from models.parts.part import Limit, Line, Part, SettablePart
 
-ROUNDING = 1e-9  # relative to the largest force of the nominal characteristic
+ROUNDING = 1e-9  # smaller forces, relative to the largest force of the nominal characteristic, are rounding errors
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Adjustable(SettablePart):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`. It is the linearisation of the nominal damper."""
+        """See `Part.line`. The linearisation is that of the nominal damper."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
@@ -64,7 +65,7 @@ class Adjustable(SettablePart):
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`. It is the characteristic of the nominal setting; None if that is straight."""
+        """See `Part.curve`. The characteristic is that of the nominal setting; None if it is straight."""
         return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
@@ -123,14 +124,14 @@ class Adjustable(SettablePart):
 
     @staticmethod
     def check_measured(name: str, measured: Sequence[str], vehicle: Any) -> None:
-        """Checks that a controller measures only forces that MuJoCo has sensors for.
+        """Checks that a controller measures only forces for which MuJoCo has sensors.
 
         MuJoCo cannot measure the force of a semi-active damper that has characteristics, is an element of `[parts]`, or has a
         motion ratio that changes with travel.
 
         Args:
             name: name of the controller.
-            measured: signals that it measures.
+            measured: signals that the controller measures.
             vehicle: the vehicle.
 
         Raises:

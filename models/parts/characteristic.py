@@ -19,8 +19,8 @@ class Characteristic(Part):
 
     Attributes:
         own: f.
-        factor: a, for a vehicle whose parameter differs from the slope of the characteristic.
-        ratio: r, a constant motion ratio.
+        factor: factor a, for a vehicle whose parameter differs from the slope of the characteristic.
+        ratio: constant motion ratio r.
     """
 
     native = True
@@ -38,7 +38,7 @@ class Characteristic(Part):
         return self.ratio * self.factor * self.own(self.ratio * (v if self.argument == "velocity" else d))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`. The result is exactly 0 where the force equals its linearisation."""
+        """See `Part.beyond`. The result is exactly 0 for arguments at which the force equals its linearisation."""
         x = v if self.argument == "velocity" else d
         return self.own.pieces.force(x) if self._alone else self.ratio * self.factor * self.own.pieces.force(self.ratio * x)
 

@@ -38,7 +38,7 @@ def curves_and_parameters(
     over, ratios = FEATURES.load("lines of parts").curvable(kind.suspensions), _ratios(section, kind)
     at_rest = {name: table.at_rest for name, table in ratios.items()}
     entries = {name: entry for name, entry in section.items() if name not in ratios}
-    # Arbitrary values, because the static loads do not depend on them
+    # The values are arbitrary, because the static loads do not depend on them
     anything = {name: 1.0 for name in entries if name in over} | at_rest
     with_any, own = {**parameters, **anything}, kind
     curves = FEATURES.load("curves in files").read_curves(
@@ -83,13 +83,15 @@ def rebalanced_curves(
     """Returns the characteristics of a vehicle whose parameters have changed, and updates the stiffnesses of shifted springs.
 
     If the table of a spring carries the static load, as with `preload = true`, the equilibrium moves along the table to the new
-    static load. A motion ratio that depends on travel stays relative to the equilibrium, as in a file with the new parameters.
+    static load. A motion ratio that depends on travel stays defined relative to equilibrium, as in a vehicle file with the new
+    parameters.
 
     Args:
         kind: vehicle type.
         curves: characteristics before the change.
         before: parameters before the change [SI], by name.
-        parameters: parameters after the change [SI], by name. The stiffnesses of shifted springs are written into it.
+        parameters: parameters after the change [SI], by name. The function writes the stiffnesses of shifted springs into this
+            mapping.
     """
     settled = dict(curves)
     if not any(curve.at_rest for curve in curves.values()):

@@ -11,7 +11,7 @@ from models.kinds.kind import Suspension
 from models.parts.characteristic import Characteristic
 from models.parts.part import Part
 
-FAST = 1.0  # velocity [m/s] at which a linear damper is taken to reach its largest force
+FAST = 1.0  # velocity [m/s] at which a linear damper is assumed to reach its largest force
 
 
 @dataclass(frozen=True, eq=False)

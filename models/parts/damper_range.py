@@ -1,4 +1,4 @@
-"""Setting range of semi-active dampers, and the share of a requested force that is outside this range."""
+"""Setting range of semi-active dampers, and the part of a requested force that they cannot give because of this range."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,17 +17,19 @@ STILL = 1e-150  # m/s, replaces a velocity of 0
 class CoefficientRange:
     """Limits of the coefficients relative to the nominal coefficients, for N runs with m actuators each.
 
-    Force actuators are included with infinite limits. Their closing velocity counts as 1, so their coefficient equals their
-    force.
+    Force actuators are included with infinite limits. The closing velocity of a force actuator counts as 1, so its coefficient
+    equals its force.
 
     Attributes:
         low: smallest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         high: largest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         nominal: nominal coefficient [N s/m], 0 for force actuators, shape (N, m).
         adjustable: True for semi-active dampers, equal in all runs, shape (m,).
-        elements: elements whose voltage is set. Their limits, nominal value and coefficient are voltages [V].
-        deviations: deviations from the linearisation, of h (`models.characteristics.adjustable_range`) and of the softest
-            setting. Each has P segments, shape (N, m, P). None if all characteristics are straight.
+        elements: elements whose voltage is set. The limits, the nominal value and the coefficient of these elements are
+            voltages [V].
+        deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
+            the softest setting. Each deviation has P segments, shape (N, m, P). The value is None if all characteristics are
+            straight.
     """
 
     low: Array
@@ -53,7 +55,7 @@ class CoefficientRange:
         return np.concatenate([self.at_rest - speeds, *self.of_elements(travels, z)], axis=-1)
 
     def of_elements(self, travels: Array, z: Array) -> list[Array]:
-        """Returns the travel and the states of each element, shapes (..., N, c). Arguments are those of `closing`."""
+        """Returns the travel and the states of each element, shapes (..., N, c). For the arguments, see `closing`."""
         pairs = [
             (one.own_motion(travels[..., one.place], 0.0 * travels[..., one.place]), z[..., one.states]) for one in self.elements
         ]
@@ -76,7 +78,7 @@ class CoefficientRange:
         return _with(self._velocity(closing, which), rates)
 
     def _velocity(self, closing: Array, which: Array | slice) -> Array:
-        """Returns `effective_velocity`, except that elements have their closing velocity."""
+        """Returns `effective_velocity`, but the closing velocity for elements."""
         closing = closing[..., : self.low.shape[1]]
         return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
@@ -109,7 +111,7 @@ class CoefficientRange:
         return _with(beyond * self._velocity(closing, which), pushes)
 
     def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the settings, relative to the nominal ones, at which the forces are closest to requested forces [N].
+        """Returns the settings, relative to the nominal settings, at which the forces are closest to requested forces [N].
 
         The shape is (..., N, m).
         """
@@ -120,9 +122,9 @@ class CoefficientRange:
     def commands(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the settings of the actuators, followed by the missing forces, shape (..., N, 2 m).
 
-        The first m columns are coefficients minus nominal coefficients [N s/m], voltages relative to those without a command
-        [V], or forces of force actuators [N]. The other m columns are the requested forces minus the forces at these settings
-        [N].
+        The first m columns are coefficients minus nominal coefficients [N s/m], voltages relative to the voltages without a
+        command [V], or forces of force actuators [N]. The other m columns are the requested forces minus the forces at these
+        settings [N].
 
         Args:
             requested_force: the requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape
@@ -134,21 +136,21 @@ class CoefficientRange:
         return np.concatenate([beyond, forces - self.forces(beyond, closing, which)], axis=-1)
 
     def clip_coefficients(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """As `commands`, for requested coefficients instead of forces; shape (..., N, 2 m).
+        """Returns the same array as `commands`, but for requested coefficients instead of forces; shape (..., N, 2 m).
 
         Args:
-            coefficients: requested coefficients of the dampers, force over velocity [N s/m], shape (..., N, m).
+            coefficients: requested coefficients of the dampers, force divided by velocity [N s/m], shape (..., N, m).
             closing: closing velocity of each suspension [m/s], as `closing` returns it, shape (..., N, m + c).
             which: selected runs out of N.
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
-        if self.deviations is not None:  # convert to coefficients at velocity 0
+        if self.deviations is not None:  # coefficients are converted to coefficients at velocity 0
             low, soft = self.low[which], self.deviations[1][which].force(-speeds)
             coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
         found = np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
-        for one in self.elements:  # the request for an element is the force of the whole damper
+        for one in self.elements:  # the force that is requested from an element is the force of the whole damper
             part, motion = one.at(closing, which)
             force = whole[..., one.column] + part.element.pull(*motion)
             found[..., one.column] = beyond = part.setting(force, *motion)
@@ -181,7 +183,7 @@ class CoefficientRange:
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns values of the actuators, shape (..., m), in which other values replace the columns of elements."""
+    """Returns values of the actuators, shape (..., m), with the columns of elements replaced by other values."""
     if not columns:
         return values
     values = np.array(values)
@@ -200,8 +202,8 @@ class SetColumn:
         names: signals of the suspension's deflection and velocity at the wheel.
         states: columns of the element's states among the states of all parts.
         own: names of the element's states.
-        start: column of the element's travel in `CoefficientRange.closing`; its states follow.
-        parts: the elements at the wheel: one for any number of runs, or N.
+        start: column of the element's travel in `CoefficientRange.closing`, before the columns of its states.
+        parts: the elements at the wheel: a single element for any number of runs, or N elements.
         element: the N elements combined into one part, before the motion ratio.
     """
 
@@ -215,7 +217,7 @@ class SetColumn:
     element: Any
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
-        """Returns travels [m] and velocities [m/s] of the elements for those at the wheel, shapes (..., N)."""
+        """Returns travels [m] and velocities [m/s] of the elements, for travels and velocities at the wheel, shapes (..., N)."""
         if len(self.parts) == 1:
             return self.parts[0].own_motion(d, v)
         pairs = [part.own_motion(d[..., i], v[..., i]) for i, part in enumerate(self.parts)]

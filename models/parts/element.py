@@ -1,6 +1,7 @@
 """`[parts.NAME]` of a vehicle file: a force element in parallel with the suspension's own spring and damper.
 
-Each registered part that is also a section of a vehicle file can be such an element. Its fields are the keys of the section.
+Each registered part that is also declared as a section of a vehicle file can be a force element. The fields of the part are the
+keys of the section.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -18,7 +19,7 @@ from models.parts.stops.stop import holds, places_of
 
 @dataclass(frozen=True)
 class PartSite(Section):
-    """Keys that all elements have in common."""
+    """Keys that the sections of all elements have in common."""
 
     kind: Annotated[str, Text("name of the part")]
     at: Annotated[tuple[str, ...], ListedValues("suspensions or axles with the element; default: all", Text())] = ()
@@ -56,7 +57,7 @@ class Element:
 
     @property
     def numbers(self) -> dict[str, tuple[float, SI]]:
-        """Numbers that a campaign may vary, by `NAME.key`, each with its unit and range."""
+        """Numbers of the element that a campaign may vary, by `NAME.key`, each with its unit and range."""
         section = type(self.part) if isinstance(self.part, Section) else Section
         own = {key: one for key, one in keys(section).items() if isinstance(one, SI)}
         return {
@@ -76,7 +77,7 @@ def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) ->
 
 
 def element_kinds() -> dict[str, type[Section]]:
-    """Returns the parts that can be elements, by the `kind` in their section."""
+    """Returns the parts that can be elements, by the value of `kind` in their section."""
     return {name: one for name, one in PARTS.load_all().items() if issubclass(one, Section)}
 
 
@@ -86,7 +87,7 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
     Args:
         section: the section `[parts]`.
         corners: names of the corners with suspensions.
-        taken: names of parameters, which must not be names of elements.
+        taken: names of parameters, which elements must not have.
 
     Raises:
         InputError: a part or a place is unknown, or a key is missing, unknown or not allowed.

@@ -24,9 +24,11 @@ def curvable(suspensions: Sequence[Suspension]) -> dict[str, Argument]:
 
 
 def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
-    """Describes the linearisation of characteristics: slope at equilibrium, and range of slopes. Empty if all are straight.
+    """Describes the linearisation of characteristics: slope at equilibrium, and range of slopes.
 
-    Slopes are those of the elements themselves, as in `[parameters]`, without the share that a preload adds.
+    The text is empty if all characteristics are straight.
+
+    As in `[parameters]`, the slopes are those of the elements themselves, without the stiffness that a preload adds.
     """
     bent = {one.name: one for one in curves if one.curve.is_nonlinear}
     slopes = {
@@ -50,7 +52,7 @@ def with_own_states(
         model: linear model without the own states.
         parts: the parts, with their suspensions.
         rows: gains from the states to the deflections of the parts' suspensions, shape (e, n).
-        speeds: gains from the states to the rates of these deflections, shape (e, n).
+        speeds: gains from the states to the rates of the deflections, shape (e, n).
         push: effect of forces along the suspensions on the derivatives of the states, shape (n, e).
         shown: effect of forces along the suspensions on the p outputs, shape (p, e).
     """

@@ -1,9 +1,9 @@
 """Parts as MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
 
-One actuator represents one straight segment of a characteristic. Its control is zero, its bias is affine in length or speed,
-and a `forcerange` clips it. The gain stays 1: if it were minus the slope of the bias over length, MuJoCo would interpret a
-positive slope over speed as a damping ratio. The suspension's own spring and damper stay and give the linearised force. The
-segments add the deviation from this force.
+One actuator represents one straight segment of a characteristic. The control of this actuator is zero. The bias of the actuator
+is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were minus the
+bias's slope over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The suspension's own spring and
+damper stay and give the linearised force. The actuators of the segments add the deviation from this force.
 
 A part that MuJoCo's own elements cannot represent gets a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """
@@ -22,8 +22,9 @@ from models.common.errors import InputError
 # MuJoCo's Python bindings do not have type stubs.
 
 
-LARGEST_FORCE = 1e9  # N; larger than any suspension force, and smaller than the limit at which MuJoCo reports an error
-MOTOR = "part_"  # follows the prefix in the name of a motor; the name of the tendon follows
+# a force [N] that is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
+LARGEST_FORCE = 1e9
+MOTOR = "part_"  # part of a motor's name, between the prefix and the name of the tendon
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Tendon:
     Attributes:
         spec: the model, with all parameters.
         name: name of the tendon.
-        rest: length in equilibrium [m].
+        rest: length of the tendon in equilibrium [m].
         prefix: beginning of the names of the actuators that a part adds.
     """
 
@@ -49,14 +50,18 @@ class Tendon:
             actuator = self._actuator(f"{self.prefix}{name}_{self.name}_{i + 1}")
             actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             slope, start = float(pieces.slope[i]), float(pieces.start[i])
-            # A positive force of the characteristic pulls together, but a positive actuator force stretches the tendon.
+            # A positive force of the characteristic pulls the ends together, but a positive actuator force stretches the
+            # tendon.
             along = [0.0, -slope] if over_speed else [-slope, 0.0]
             actuator.biasprm[:3] = [slope * (start + length), *along]
             actuator.forcelimited = True
             actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -LARGEST_FORCE, LARGEST_FORCE)
 
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
-        """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3). Its dead band is a range of lengths [m]."""
+        """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3).
+
+        The dead band of the spring is a range of lengths [m].
+        """
         spring = self.spec.add_tendon(name=f"{name}_{self.name}")
         spring.stiffness[:] = stiffness
         spring.springlength = slack
@@ -67,7 +72,7 @@ class Tendon:
                 spring.wrap_site(wrap.target.name)
 
     def add_motor(self) -> None:
-        """Adds a motor on the tendon. Its control is a force that pulls the ends together [N]."""
+        """Adds a motor on the tendon. The control of the motor is a force that pulls the ends together [N]."""
         self._actuator(f"{self.prefix}{MOTOR}{self.name}").gainprm[0] = -1.0
 
     def adjust_input(
@@ -75,9 +80,9 @@ class Tendon:
     ) -> None:
         """Replaces the motor of an input by a semi-active damper with the control c - c_s and the force -(c - c_s) h(v).
 
-        The function h is a straight line plus ramps that begin at knots. Each has its own actuator, and all receive the same
-        control. A ramp gives (c - c_min) a (v - k), which has one sign beyond its knot k and is clipped to zero before the
-        knot.
+        The function h is a straight line plus ramps that begin at knots. The line and each ramp have separate actuators, which
+        receive the same control. A ramp with the slope a and the knot k gives (c - c_min) a (v - k), which has the same sign
+        everywhere beyond the knot, and is clipped to zero before the knot.
 
         Args:
             force: name of the input's actuator.

@@ -2,12 +2,13 @@
 
 The force F(d, v, z, u) of a part pulls the ends of its suspension together if it is positive. The arguments are the extension d
 of the suspension from equilibrium, its rate v (positive if the suspension extends), the part's own states z, and its inputs u.
-Linear analysis uses the linearisation at equilibrium,
+Linear analysis uses the following linearisation at equilibrium,
 
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
 and all simulations add the difference between the force and this linearisation. A new part is a class in a file of this folder,
-or a force element of `[parts]` in a file of `elements`. It also needs a line in `EXTENSIONS` of `models.common.extensions`.
+or a force element of `[parts]` in a file of `elements`. A new part also needs a line in `EXTENSIONS` of
+`models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod
@@ -33,10 +34,10 @@ if TYPE_CHECKING:
 
 Number = float | Array  # an array has shape (N,), for N simultaneous runs
 Quantity = Literal["deflection", "velocity", "force"]
-POINTS = 401  # number of points of a drawn characteristic, including the point at equilibrium
+POINTS = 401  # number of points of a characteristic in a figure, including the point at equilibrium
 STEP = 1e-200  # size of a complex step, whose derivative is exact except for rounding errors
-# Amplitude of a small motion about equilibrium [m or m/s]. A force has a kink if it differs there from its linearisation by at
-# least the share KINKED.
+# Amplitude of a small motion about equilibrium [m or m/s]. A force has a kink if, for this motion, it differs from its
+# linearisation by at least the share KINKED.
 SMALL, KINKED = 1e-6, 1e-3
 CURVE, BUMP_STOP = "curve", "bump stop"  # events that end the range of linear analysis
 
@@ -50,10 +51,10 @@ class Line:
     Attributes:
         stiffness: k [N/m].
         damping: c [N s/m].
-        gain: g, force per unit of the input; 0 for a part without an input.
-        of_preload: share of k that is caused by a preload and a motion ratio that changes with travel [N/m].
+        gain: gain g, the force per unit of the input; 0 for a part without an input.
+        of_preload: the part of k that is caused by a preload together with a motion ratio that changes with travel [N/m].
         inertance: b [kg].
-        of_states: C, shape (..., n); None for a part without states.
+        of_states: gains C from the states to the force, shape (..., n); None for a part without states.
         rates: gains from (z, d, v, u) to the rates z', shape (..., n, n + 3); None for a part without states.
     """
 
@@ -71,14 +72,17 @@ class Line:
 
     @property
     def sloped(self) -> bool:
-        """True if the part has a force even if its input is 0."""
+        """True if the part has a force while its input is 0."""
         return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
-        """Returns the linearised pull without the inertance [N], shape (...). Omitted states `z` count as 0."""
+        """Returns the linearised pull without the inertance [N], shape (...).
+
+        If the states `z` are omitted, they count as 0.
+        """
         total: Any = None
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
-            # This runs in each stage of a step; most parts have only one coefficient that is not 0
+            # This code runs in each stage of a time step, and for most parts only one coefficient is not 0
             if not isinstance(slope, float) or slope:
                 total = slope * x if total is None else total + slope * x
         total = 0.0 if total is None else total
@@ -92,12 +96,13 @@ class Line:
 
 @dataclass(frozen=True)
 class Limit:
-    """Limit of a quantity at which a part ends the range of linear analysis.
+    """Limit of a quantity, beyond which linear analysis is not valid because of a part.
 
     Attributes:
         end: name of the event, as in `sim.drive.regime`.
-        of: limited quantity: deflection or velocity of the suspension, or difference of the force from its linearisation.
-        sign: sign of the quantity on the limited side; 0 for both sides.
+        of: the limited quantity: deflection or velocity of the suspension, or the difference between the force and its
+            linearisation.
+        sign: sign of the quantity on the side with the limit; 0 if both sides have the limit.
         value: limit of the magnitude [m, m/s or N].
     """
 
@@ -110,21 +115,23 @@ class Limit:
 class Part(ABC):
     """Force along a suspension.
 
-    A part is a frozen dataclass. Its numbers may be arrays of shape (N,), for N simultaneous runs (`Stack`). Deflections,
-    velocities and forces have any shape (...). Own states have an additional last axis.
+    A part is a frozen dataclass. The numbers of a part may be arrays of shape (N,), for N simultaneous runs (`Stack`).
+    Deflections, velocities and forces have any shape (...). Arrays of own states have an additional last axis.
     """
 
-    # Own states, 0 in equilibrium; in a vehicle, the signal names also contain element and corner
+    # Signals of the own states, which are 0 in equilibrium; in a vehicle, their names also contain element and corner
     states: ClassVar[tuple["Signal", ...]] = ()
     inputs: ClassVar[int] = 0
-    settable: ClassVar[tuple[Number, Number] | None] = None  # least and largest input that a controller can set; None without
-    # Parameter of the suspension that a characteristic in `[curves]` replaces
+    # Smallest and largest input that a controller can set; None if a controller does not set the input
+    settable: ClassVar[tuple[Number, Number] | None] = None
+    # Parameter of the suspension that is replaced by a characteristic in `[curves]`, and argument of the characteristic
     replaces: ClassVar[tuple[str, "Argument"] | None] = None
     reach: ClassVar[float] = np.inf  # magnitude of the largest argument for which the part is valid [m/s or m]
-    contact: ClassVar[bool] = False  # True for a force that acts only beyond a limit of the linear range; references omit it
+    # True for a force that acts only beyond a limit of the linear range; nonlinear reference solutions omit this force
+    contact: ClassVar[bool] = False
     stores: ClassVar[bool] = False  # True for a part that stores energy and does not dissipate any
     argument: ClassVar[Quantity | None] = None  # the only argument of the force, if it depends on one quantity only
-    fastest: ClassVar[float] = 0.0  # largest rate of its own states at 2 m/s [1/s], if the rate grows with velocity
+    fastest: ClassVar[float] = 0.0  # largest rate of the own states at 2 m/s [1/s], if the rate grows with velocity
     native: ClassVar[bool] = False  # True if `write` can represent the nonlinear force by MuJoCo's own elements
 
     @abstractmethod
@@ -139,13 +146,13 @@ class Part(ABC):
         """
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of the own states, shape (..., n). Arguments are those of `pull`."""
+        """Returns the rates of the own states, shape (..., n). For the arguments, see `pull`."""
         return np.zeros((*np.shape(d), 0))
 
     def divisor(self, u: Array | float) -> Any:
-        """Returns a positive number that is linear in the input.
+        """Returns a positive divisor that is linear in the input:
 
-        `pull` times this number is a quadratic function of the input.
+        `pull` times this divisor is a quadratic function of the input.
         """
         return 1.0
 
@@ -158,7 +165,7 @@ class Part(ABC):
         return 0.0
 
     def centrifugal(self, d: Array, v: Array) -> Array | float:
-        """Returns the share of `pull` that is due to an inertance that changes with travel, (db/dd) v^2 / 2 [N], shape (...)."""
+        """Returns the part of `pull` due to an inertance b that changes with travel d, (db/dd) v^2 / 2 [N], shape (...)."""
         return 0.0
 
     @cached_property
@@ -170,7 +177,7 @@ class Part(ABC):
         slopes: Any = (np.imag(self.pull(d, v, np.zeros(n), u)) / STEP for d, v, u in along)
         if not n:
             return Line(*slopes, inertance=inertance)
-        rows = STEP * 1j * np.eye(n + 3)  # rows contain steps of z, d, v and u
+        rows = STEP * 1j * np.eye(n + 3)  # the rows contain complex steps of z, d, v and u
         pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
         rates = [np.imag(self.rate(row[n], row[n + 1], row[:n], row[n + 2])) / STEP for row in rows]
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
@@ -178,19 +185,19 @@ class Part(ABC):
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the difference between force and linearisation, without inertance [N], shape (...).
 
-        Arguments are those of `pull`.
+        For the arguments, see `pull`.
         """
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the difference between the rates of the own states and their linearisation, shape (..., n).
 
-        Arguments are those of `pull`.
+        For the arguments, see `pull`.
         """
         return self.rate(d, v, z, u) - self.line.rate(d, v, z, u)
 
     def stored_beyond(self, d: Array, z: Any = None) -> Array:
-        """Returns the difference between the stored energy and that of the linearised stiffness [J], shape (...)."""
+        """Returns the stored energy minus the energy of the linearised stiffness [J], shape (...)."""
         return self.stored(d, z) - self.line.stiffness * np.square(d) / 2
 
     @property
@@ -219,15 +226,16 @@ class Part(ABC):
     def limits(self) -> Sequence[Limit]:
         """Returns the limits of the linear range.
 
-        By default, the range ends if the force differs from its linearisation by the share `LEAVES` of its largest value.
+        By default, the linear range ends if the force differs from its linearisation by the share `LEAVES` of the largest
+        force.
         """
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.is_nonlinear and np.isfinite(self.range) else ()
 
     @cached_property
     def curve(self) -> "ForceCurve | None":
-        """The force over its only argument, at `POINTS` points up to `reach`.
+        """Characteristic of the force over its only argument, at `POINTS` points up to `reach`.
 
-        None if the force has several arguments, or if `reach` is infinite.
+        The value is None if the force has several arguments, or if `reach` is infinite.
         """
         if self.argument is None or not np.isfinite(self.reach):
             return None
@@ -238,9 +246,7 @@ class Part(ABC):
         return FEATURES.load("curves").ForceCurve(x, force, float(slope), self.words)
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
-        """Returns travel [m] and velocity [m/s] between the part's own ends, shapes (...), for travel and velocity at
-        the wheel.
-        """
+        """Converts travel [m] and velocity [m/s] at the wheel to those between the part's own ends, shapes (...)."""
         return d, v
 
     def at_wheel(self, ratio: float) -> "Part | None":
@@ -258,7 +264,7 @@ class Part(ABC):
             tendon: tendon of the suspension.
             by_motor: True if a motor already applies the nonlinear force.
         """
-        return  # most parts have no input
+        return  # nothing to write, because most parts have no input
 
     @property
     def words(self) -> str:
@@ -267,7 +273,7 @@ class Part(ABC):
 
     @classmethod
     def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
-        """Yields the parts of a suspension that follow from other sections than `[parts]`, before the motion ratio.
+        """Yields the parts of a suspension that sections other than `[parts]` describe, before the motion ratio.
 
         Each part is paired with the parameter that contains its linearisation, or with an empty text.
         """
@@ -294,7 +300,7 @@ class SuspensionPart:
 
     @property
     def name(self) -> str:
-        """The parameter of the part, or the name of its section of `[parts]`."""
+        """The parameter that contains the linearisation of the part, or the name of the section of `[parts]`."""
         return self.parameter or self.element
 
     @property
@@ -309,7 +315,7 @@ class SuspensionPart:
 
     @cached_property
     def added_line(self) -> Line:
-        """Linearisation of the part, without the share that a parameter of the vehicle already contains."""
+        """Linearisation of the part; zero if a parameter of the vehicle already contains it."""
         return Line() if self.parameter else self.part.line
 
     @cached_property
@@ -339,13 +345,13 @@ class SuspensionPart:
 
     @property
     def curve(self) -> "ForceCurve":
-        """The characteristic of a part that has one."""
+        """The characteristic of the part, which must exist."""
         assert self.part.curve is not None, "a part with a curve"
         return self.part.curve
 
     @property
     def surface(self) -> "ForceSurface | None":
-        """The characteristic of a damper over velocity and deflection; None if it has only one argument."""
+        """The characteristic of a damper over velocity and deflection; None if the force has only one argument."""
 
         curve: Any = self.part.curve
         return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None
@@ -362,10 +368,11 @@ def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signa
 
 @dataclass(frozen=True)
 class SettablePart(Part):
-    """Damper whose coefficient a valve sets. Its input is the coefficient minus the nominal coefficient [N s/m].
+    """Damper whose coefficient a valve sets. The input of the damper is the coefficient minus the nominal coefficient [N s/m].
 
-    The force that the damper replaces is relative to the force of the nominal damper. Numbers, forces and velocities are those
-    of the damper itself, before the motion ratio; only the methods of `Part` use those at the wheel.
+    The control force that the damper replaces is defined relative to the force of the nominal damper. Numbers, forces and
+    velocities are those of the damper itself, before the motion ratio. Only the methods of `Part` use forces and velocities at
+    the wheel.
 
     Attributes:
         force: name of the control force that the damper replaces.
@@ -392,7 +399,7 @@ class SettablePart(Part):
 
     @property
     def missing(self) -> str:
-        """Name of the signal with the share of the requested force that the damper cannot give."""
+        """Name of the signal with the part of the requested force that the damper cannot give."""
         return f"missing_force{self.ending}"
 
     @property
@@ -463,7 +470,7 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Linearisation of another part, as a part. It has the signals of that part's own states."""
+    """Linearisation of another part, as a part. The signals of its states are the same as for the other part."""
 
     at_rest: Line
     own: "tuple[Signal, ...]" = ()
@@ -501,7 +508,8 @@ class Stack:
         """Groups the parts.
 
         Args:
-            parts: k parts for each run, or the k parts of one run for any number of runs. They differ only in their numbers.
+            parts: k parts for each run, or k parts for any number of runs. All runs have the same types of parts, with
+                different numbers.
             line: True to include the linearised force of the parts, except the force of their inputs.
         """
         groups: list[tuple[list[Part], list[int]]] = []
@@ -519,15 +527,15 @@ class Stack:
         self._groups = [(part, np.array(rows)) for part, (_, rows) in zip(together, groups, strict=True) if part is not None]
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`, for arrays of shape (..., N, k)."""
-        if len(self._groups) == 1 and not self._line:  # this runs in each stage of a step
+        """Returns `Part.beyond` of all parts, for arrays of shape (..., N, k)."""
+        if len(self._groups) == 1 and not self._line:  # shortcut, because this code runs in each stage of a time step
             return self._groups[0][0].beyond(d, v, z, u)
         if not self._line:
             return self._rows(lambda part, *at: part.beyond(*at), d, v, z, u)
         return self._rows(lambda part, d, v, z, u: part.beyond(d, v, z, u) + part.line(d, v, 0.0, z), d, v, z, u)
 
     def inertance(self, d: Array) -> Array:
-        """Returns the inertances minus those of the linearisation, or the whole inertances if `line` is set [kg].
+        """Returns the inertances minus the linearised inertances, or the whole inertances if `line` is set [kg].
 
         The shape is (..., N, k).
         """
@@ -542,7 +550,7 @@ class Stack:
         return self._rows(lambda part, *at: part.rate(*at) if self._line else part.rate_beyond(*at), d, v, z, u, z.shape)
 
     def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
-        """Evaluates a function of part, d, v, z and u for the rows of each group, and returns all rows."""
+        """Evaluates a function of (part, d, v, z, u) for the rows of each group of parts, and returns all rows."""
         if len(self._groups) == 1:
             return of(self._groups[0][0], d, v, z, u)
         total, at = np.empty(shape or np.shape(d)), (slice(None),) * (np.ndim(d) - 2)
@@ -599,7 +607,7 @@ def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
             return None
     if not changed:
         return first
-    # Without `__post_init__`, which checks single numbers and has already checked each part
+    # The object is created without `__post_init__`, which can only check single numbers and has already checked each part
     together = object.__new__(type(first))
     vars(together).update({one.name: changed.get(one.name, getattr(first, one.name)) for one in fields(first)})  # pyright: ignore[reportArgumentType]
     return together

@@ -1,7 +1,7 @@
 """Warnings about springs, dampers and stops that probably have the wrong unit or the wrong sign.
 
-A warning appears if a number is about 30 times larger or smaller than usual. A mistake between mm and m, or between N and kN,
-is a factor of 1000.
+A warning appears if a number is about 30 times larger or smaller than usual. If mm and m, or N and kN, are confused, the number
+is wrong by a factor of 1000.
 """
 
 import math
@@ -13,11 +13,11 @@ from models.characteristics.curve import ForceCurve
 from models.kinds.kind import GRAVITY
 from models.parts.stops.stop import Stop, StopTable
 
-WEAKEST, FIRMEST = 0.01, 10.0  # damping ratio of a measured damper
-FASTEST = 5.0  # m/s: a table with larger velocities belongs to a firm damper, or is in inches
-REVERSED_RATIO = 1.6  # compression force over extension force; above this ratio, the sign of the table is probably reversed
-SHORTEST, LONGEST = 5e-3, 2.0  # m, plausible range of the largest deflection in a table
-# Plausible range of the largest force of a table, over the static load on the suspension
+WEAKEST, FIRMEST = 0.01, 10.0  # plausible range of a measured damper's damping ratio
+FASTEST = 5.0  # velocity [m/s]; a table with larger velocities is probably in inches, unless the damper is firm
+REVERSED_RATIO = 1.6  # ratio of compression force to extension force, above which the sign of the table is probably reversed
+SHORTEST, LONGEST = 5e-3, 2.0  # plausible range of the largest deflection in a table [m]
+# Plausible range of the largest force in a table, relative to the static load on the suspension
 WEAKEST_STOP, FIRMEST_STOP = 1 / 30, 100.0
 
 
@@ -26,7 +26,7 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
 
     Args:
         softest: characteristic at the softest setting.
-        firmest: characteristic at the firmest setting; the same for a passive damper.
+        firmest: characteristic at the firmest setting; for a passive damper, equal to `softest`.
         critical: critical damping coefficient at the damper [N s/m]; None if it is unknown.
     """
     v = min(-firmest.x[0], firmest.x[-1])

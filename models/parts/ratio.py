@@ -1,12 +1,13 @@
-"""Any part with a motion ratio: the travel between the part's own ends, divided by the travel of the wheel.
+"""Parts with a motion ratio: the travel between the part's own ends, divided by the travel of the wheel.
 
 The ratio is constant or depends on the travel. The part's own travel D(d) is the integral of the ratio r(d) from equilibrium.
-With the load W at the wheel that the part carries in equilibrium, the force at the wheel is
+If the part carries the load W at the wheel in equilibrium, the force at the wheel is
 
     F(d, v) = r(d) (f(D(d), r(d) v) - N) + W,    N = W / r(0),    F'(0) = r(0)^2 f'(0) - r'(0) N.
 
-If r' differs on both sides of equilibrium, the linearisation uses the mean. An inertial part with the force b D'' in its own
-travel has the force r^2 b v' + b r r' v^2 at the wheel.
+If r' is different on the two sides of equilibrium, the linearisation uses the mean of both values. An inertial part whose force
+is b times the second derivative of its own travel D has the force r^2 b v' + b r r' v^2 at the wheel, where v is the velocity
+at the wheel.
 """
 
 import functools
@@ -99,7 +100,7 @@ class AtRatio(Part):
         return bool(np.any(self.load))
 
     @cached_property
-    def _lift(self) -> Any:  # load at the part's own ends, before the factor `scale`
+    def _lift(self) -> Any:  # load between the part's own ends, before the factor `scale`
         return self.load / self.table.at_rest
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
@@ -136,7 +137,7 @@ class AtRatio(Part):
 
     @cached_property
     def range(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.range`. The range is limited by the tables of the ratio and of the part."""
+        """See `Part.range`. The tables of the ratio and of the part limit the range."""
         if (curve := self.curve) is not None:
             return curve.range
         most = 1.0 if isinstance(self.table, Constant) else float(np.max(self.table.ratio))
@@ -144,7 +145,10 @@ class AtRatio(Part):
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`. For a spring, it has all points of a fine table; for a damper, it is a `ForceSurface`."""
+        """See `Part.curve`.
+
+        For a spring, the characteristic has all points of a fine table. For a damper, it is a `ForceSurface`.
+        """
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):
             return own and own.at_wheel(self.scale)
@@ -181,7 +185,7 @@ class AtRatio(Part):
 
 @dataclass(frozen=True, eq=False)
 class Sum(Part):
-    """Sum of two parts without states. At most one of them has an input.
+    """Sum of two parts without states. At most one of the two parts has an input.
 
     Attributes:
         first: the first part, which may be a sum.
@@ -209,7 +213,7 @@ class Sum(Part):
 def together(parts: Sequence[Part]) -> Part | None:
     """Combines parts with the same motion ratio over travel into one part, so that the ratio is evaluated only once.
 
-    Returns None for other parts.
+    Returns None if the motion ratios differ.
     """
     own = [part for part in parts if isinstance(part, AtRatio) and not part.states]
     first = own[0] if own else None

@@ -1,14 +1,15 @@
-"""Force elements whose voltage a controller sets, such as magnetorheological dampers. They replace force actuators.
+"""Force elements whose voltage a controller sets, such as magnetorheological dampers. The elements replace force actuators.
 
 An element pulls with F(d, v, z, u), where u is the voltage relative to the voltage without a command. The controller requests a
 force u* in addition to the force of the element without a command, as for other semi-active dampers
 (`models.characteristics.adjustable_range`). At each sample, the element receives a voltage between 0 and its largest voltage.
-This voltage brings the force
+This voltage brings the change of the force
 
     -(F(d, v, z, u) - F(d, v, z, 0))
 
-as close as possible to u*, for the motion and the states at the sample. The voltage is held until the next sample. If several
-voltages give the same force, the element receives the one closest to the voltage without a command.
+as close as possible to u*, for the motion and the states at the sample. The voltage is held until the next sample of the
+controller. If several voltages give the same force, the element receives the voltage that is closest to the voltage without a
+command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,13 +25,15 @@ from models.kinds.kind import Suspension
 from models.parts.native import Tendon
 from models.parts.part import Limit, Number, Part, SettablePart, Straight
 
-SAME = 1e-12  # relative difference of forces; smaller differences are rounding errors
+SAME = 1e-12  # relative difference of forces, below which a difference is a rounding error
 SPEED = 1.0  # velocity [m/s] at which a damping coefficient is computed to represent the element
 
 
 @dataclass(frozen=True)
 class ElementDamper(Damper):
-    """Element of `[parts]` as a semi-active damper. Its coefficients are those at 1 m/s, at 0 V and at the largest voltage.
+    """Element of `[parts]` as a semi-active damper.
+
+    The limits of this damper are the damping coefficients at 1 m/s, for 0 V and for the largest voltage.
 
     Attributes:
         name: name of the element's section.
@@ -59,12 +62,12 @@ class ElementDamper(Damper):
 
     @staticmethod
     def together(dampers: Sequence["ElementDamper"], shape: tuple[int, ...]) -> "ElementDamper":
-        """Returns one damper for several dampers that differ only in their numbers; `SetElement` uses those of its element."""
+        """Combines several dampers that differ only in their numbers into one damper."""
         return dampers[0]
 
 
 def _of(part: str, name: str) -> Any:
-    """Returns a property that reads the property with this name from an attribute of the object, which is another part."""
+    """Returns a property that reads the property of the same name from another part, which is an attribute of the object."""
     return property(lambda self: getattr(getattr(self, part), name))
 
 
@@ -129,15 +132,15 @@ class SetElement(SettablePart):
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """See `SettablePart.force_at`. The force is that after yield, without springs."""
+        """See `SettablePart.force_at`. The compared forces are the forces after yield, without springs."""
         return self.element.after_yield(v, beyond)
 
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
         """Returns the voltages at which the element comes closest to requested forces [V], shape (...).
 
         The voltages are relative to the voltage without a command. `pull` times `Part.divisor` is a quadratic function of the
-        voltage. Therefore, the voltages at which the pull equals the requested pull are roots of a quadratic equation. Its
-        extremes are at the ends of the range and at the roots of another quadratic equation.
+        voltage. Therefore, the voltages at which the pull equals the requested pull are roots of a quadratic equation. The
+        extremes of the pull are at the ends of the voltage range and at the roots of another quadratic equation.
         """
         low, high, pull = self.low, self.high, self.element.pull
         wanted, wide = pull(d, v, z, 0.0) - force, high - low
@@ -180,7 +183,7 @@ def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElem
 def element_dampers(
     elements: Sequence[Any], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
 ) -> dict[str, ElementDamper]:
-    """Returns the elements whose voltage a controller sets as semi-active dampers, by the force that each replaces.
+    """Returns the elements whose voltage a controller sets, as semi-active dampers, by the control force that each replaces.
 
     Args:
         elements: all elements of the vehicle.

@@ -13,7 +13,10 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDamper(Characteristic):
-    """Force r a f(r v, r d) with a table f. The methods of `Characteristic` use the section of the table at deflection 0."""
+    """Force r a f(r v, r d) with a table f.
+
+    Methods that are inherited from `Characteristic` use the section of the table at deflection 0.
+    """
 
     argument = "velocity"
     native = False
@@ -23,7 +26,7 @@ class SurfaceDamper(Characteristic):
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.ratio * self.factor * self.own.along(self.ratio * v, self.ratio * d)
 
-    beyond, limits = Part.beyond, Part.limits  # those of `Characteristic` are valid only at deflection 0
+    beyond, limits = Part.beyond, Part.limits  # the methods of `Characteristic` are valid only at deflection 0
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:

@@ -47,7 +47,10 @@ class RoadChoice:
 
     @property
     def stationary(self) -> bool:
-        """True if the response becomes stationary. Measurement then starts after the transient response has decayed."""
+        """True if the response becomes stationary.
+
+        For these roads, measurement starts after the transient response has decayed.
+        """
         return self.random and not self.loads
 
     @property
@@ -89,7 +92,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         folder: folder to which file names are relative.
 
     Returns:
-        The chosen road. Its method `build` returns a `Road` for a vehicle, a speed, a seed and a distance.
+        The chosen road. The method `build` of the result returns a `Road` for a vehicle, a speed, a seed and a distance.
 
     Raises:
         InputError: a name of a road or number is unknown, a value is not allowed, or a file is not a profile.

@@ -1,4 +1,4 @@
-"""Roads as tables, in logs and in files of the gallery.
+"""Descriptions of roads as tables, as in logs and in files of the gallery.
 
 The key `type` gives the class of a road; the other keys are its fields.
 """
@@ -22,7 +22,7 @@ from models.vehicle.names import PLUS
 
 DescribedRoad = Obstacle | Iso8608 | Multisine
 ROADS: Mapping[str, type[DescribedRoad]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
-SAME = 1e-12  # relative rounding error of numbers that are computed from others
+SAME = 1e-12  # relative rounding error of numbers that are computed from other numbers
 
 
 def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
@@ -48,7 +48,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
 
     Args:
         description: result of `Road.describe`, possibly after conversion to JSON and back.
-        points: `points` of a profile or rig; None for other roads.
+        points: the `points` of a profile or rig; None for other roads.
 
     Raises:
         InputError: the description does not belong to a road, or is not complete.

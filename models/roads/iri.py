@@ -2,23 +2,23 @@
 
 Source: M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile",
 Transportation Research Record 1501, 1-12; ASTM E1926. The golden car, a quarter-car with fixed parameters, drives at 80 km/h
-over the heights h_i of one track, sampled every `step`. Its tyre follows the moving average over 250 mm, so the slope is
-constant between samples:
+over the heights h_i of one track, sampled every `step`. The tyre of the golden car follows the moving average of the heights
+over 250 mm, so the slope is constant between samples:
 
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 
-The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of its suspension,
-|z_s' - z_u'| / V. For slopes that are constant between samples, the state transition is exact. It is computed here in the modes
-of the car.
+The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of the car's
+suspension, |z_s' - z_u'| / V. For slopes that are constant between samples, the state transition is exact. The transition is
+computed in the modes of the car.
 
 A profile with evenly spaced points is used unchanged; any other road is sampled every 25 mm. A vehicle with two tracks has an
-IRI for each track, `left` and `right`. `mean` is the mean of both (MRI). `half_car` is the IRI of the mean of both profiles
-(HRI), which does not contain the warp of the road. Names: M. W. Sayers and S. M. Karamihas (1998), "The little book of
-profiling", UMTRI.
+IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value `half_car` is the IRI
+of the mean of both profiles (HRI), which does not contain the warp of the road. Names: M. W. Sayers and S. M. Karamihas (1998),
+"The little book of profiling", UMTRI.
 
-On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. With the correlation
-rho(x) of two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This gives the standard deviation of the
-mean over a distance, from road to road.
+On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. If rho is the correlation
+of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This covariance gives
+the standard deviation of the IRI over a distance among random roads.
 """
 
 import math
@@ -33,13 +33,14 @@ from models.roads.road import Departure, Road, track_width
 from models.roads.spectrum import Spectrum, coherency, slope_power
 from models.vehicle.vehicle import Vehicle
 
-SPEED = 80 / 3.6  # m/s, speed of the golden car
+SPEED = 80 / 3.6  # speed of the golden car [m/s]
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15  # k_s/m_s, k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
-BASE = 0.25  # m, length of the moving average
-SETTLING_DISTANCE = 100.0  # m, after which the effect of the start has decayed to 1e-5
+BASE = 0.25  # length of the moving average [m]
+SETTLING_DISTANCE = 100.0  # distance after which the effect of the start has decayed to 1e-5 [m]
 FORGOTTEN = 1e-18  # relative decay at which a response is truncated; it is below the rounding error
 
-# The states are z_s, z_s', z_u and z_u'. Time derivatives are per distance, like the slope of the profile, which is the input.
+# The states are z_s, z_s', z_u and z_u'. Derivatives are with respect to distance instead of time. The input is the slope of
+# the profile.
 A = np.array(
     [
         [0.0, 1.0, 0.0, 0.0],
@@ -63,7 +64,7 @@ def roughness_index(heights: Array, step: float) -> float:
 
 
 def suspension_slopes(heights: Array, step: float) -> Array:
-    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,).
+    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,), for an average over b samples.
 
     Args:
         heights: heights of one track [m], shape (P,).
@@ -71,7 +72,8 @@ def suspension_slopes(heights: Array, step: float) -> Array:
     """
     base, first = _samples(step), min(max(round(START / step), 1), len(heights))
     slopes = (heights[base:] - heights[:-base]) / (base * step)
-    start = (heights[first - 1] - heights[0]) / (step * first)  # as in the program listing of 1995
+    # Mean slope at the start, as in the program listing of Sayers (1995)
+    start = (heights[first - 1] - heights[0]) / (step * first)
     answer, settling, size = _answers(step, len(slopes))
     travel_slopes = np.fft.irfft(np.fft.rfft(slopes, size) * answer, size)[: len(slopes)]
     travel_slopes[: len(settling)] += start * settling
@@ -92,11 +94,11 @@ def slope_response(n: Array, step: float) -> Array:
 
 
 def missing(lines: Array, variances: Array) -> Array:
-    """Returns the deficit of the rms of `suspension_slopes` after the start, accumulated over the distance.
+    """Returns by how much the rms of `suspension_slopes` is too small after the start, accumulated over the distance.
 
-    The deficit is relative to the final rms, and is given every 250 mm. The response to a sinusoid is the steady-state response
-    plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum over sinusoids of the products
-    of both is a Fourier transform.
+    This deficit is relative to the final rms, and is given every 250 mm. The response to a sinusoid is the steady-state
+    response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the products of
+    steady-state response and transient over all sinusoids is a Fourier transform.
 
     Args:
         lines: spatial frequencies of a random road in multiples of 1 / `COUNTED_LINES` cycle/m, ascending positive integers,
@@ -138,7 +140,7 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
     """Returns the modes of the car from sample to sample.
 
     Returns:
-        Rates of the modes, and their shares in the responses to a slope and to the start.
+        Rates of the modes, and the factors of the modes in the responses to a slope and to the start.
     """
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
@@ -151,8 +153,8 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
     """Returns the transform of the response to a slope, the response to the start, and the size of the transform.
 
-    The response to the start is truncated at `FORGOTTEN`. It begins before the first sample. The result is cached, because a
-    campaign needs it for every road.
+    The response to the start is truncated at `FORGOTTEN`. This response begins before the first sample. The result is cached,
+    because a campaign needs it for every road.
     """
     rates, of_slopes, of_start = _modes(step)
     remembered = min(count, math.ceil(math.log(FORGOTTEN) / np.real(rates).max()))
@@ -162,16 +164,17 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
 
 
 TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of a vehicle with two tracks
-STEP = 0.025  # m between samples; a tenth of the moving average
-COARSEST = 0.3  # m; ASTM E1926 defines no IRI for a larger spacing
+STEP = 0.025  # distance between samples [m]; a tenth of the length of the moving average
+COARSEST = 0.3  # largest spacing of samples [m]; ASTM E1926 does not define the IRI for larger spacings
 # Largest variation of the spacing that counts as a rounding error of distances or coordinates, relative to the spacing
 EVEN = 0.01
-ROUNDING = 1e-6  # relative rounding error of the coarsest spacing
-SHORTEST = START + BASE  # m; a shorter profile has no IRI
+ROUNDING = 1e-6  # relative rounding error that is allowed for the coarsest spacing
+SHORTEST = START + BASE  # length of the shortest profile with an IRI [m]
 LONGEST = 1e5  # m, largest evaluated distance
-COUNTED_LINES = 512.0  # sinusoids per cycle/m for the start, whose effect ends within a fifth of 512 m
-GRAIN = 4096.0  # sinusoids per cycle/m of a spectrum; a transient of the car ends within a tenth of 4096 m
-LINES = 8192  # points per cycle/m of integrals over a spectrum, whose resonances are a hundred times wider
+COUNTED_LINES = 512.0  # number of sinusoids per cycle/m for the effect of the start, which ends within a fifth of 512 m
+GRAIN = 4096.0  # number of sinusoids per cycle/m of a spectrum; a transient of the car ends within a tenth of 4096 m
+# Number of points per cycle/m in integrals over a spectrum; the resonances are a hundred times wider than their spacing
+LINES = 8192
 
 
 @dataclass(frozen=True)
@@ -194,10 +197,10 @@ class Roughness:
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
     """Returns every IRI of a road over a distance.
 
-    Empty for a road that is too short, for a profile whose points are too far apart, and for a rig.
+    The list is empty if the road is too short, if the points of a profile are too far apart, or for a rig.
 
     Args:
-        road: the road; a profile ends with its last point.
+        road: the road; a measured profile ends at its last point.
         vehicle: the vehicle, whose track width determines the tracks.
         distance: driven distance [m].
     """
@@ -227,7 +230,7 @@ def why_none(road: Road) -> str:
 
 
 def _without_loads(road: Road) -> Road:
-    """Returns a measured road without its loads; other roads unchanged."""
+    """Returns a measured road without its loads. Other roads are returned unchanged."""
     felt = road.from_start
     return felt.road if isinstance(felt, Departure) else road
 
@@ -239,7 +242,7 @@ def slope_density(iri: float, low: float, high: float, waviness: float) -> float
         iri: mean roughness index [m/km].
         low: lower end of the band [cycle/m].
         high: upper end of the band [cycle/m].
-        waviness: exponent of the road spectrum; for 2, the slope is white.
+        waviness: exponent of the road spectrum; for the exponent 2, the slope is white noise.
     """
     return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high, waviness)
 
@@ -270,8 +273,9 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     """Returns mean and standard deviation of the named IRIs over all roads with a spectrum, for a driven distance [m].
 
     Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. The
-    remaining variance is 0 on the left track, and 2 a^2 (1 - a^2) on the right track with coherency a. This reduces the term of
-    cov(|y|, |y'|) in rho^2, which is due to y^2 alone. The terms in higher powers remain, because whole roads differ in them.
+    remaining share of the variance is 0 on the left track, and 2 a^2 (1 - a^2) on the right track, where a is the coherency of
+    the tracks. This knowledge reduces the term with rho^2 in cov(|y|, |y'|), which depends only on y^2. The terms with higher
+    powers of rho remain, because they differ between roads.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)
@@ -287,12 +291,12 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     weight[0] /= 2
 
     def moments(own: Array, other: Array, free: Array) -> tuple[float, float]:
-        """Returns mean and standard deviation of the mean of two |y|.
+        """Returns the mean and the standard deviation of the mean of the magnitudes of two signals.
 
         Args:
             own: spectrum of the first signal.
             other: spectrum of the second signal.
-            free: share of the square of each sinusoid that varies from road to road.
+            free: share of each sinusoid's mean square that varies between roads.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
         for part, times in ((own, 2),) if own is other else ((own, 1), (other, 1)):
@@ -317,7 +321,7 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
 
 
 def _start_distance(low: float, high: float, distance: float) -> float:
-    """Returns the distance by which the start reduces the mean [m].
+    """Returns the effect of the start as a distance [m]: the start reduces the mean as if this distance were missing.
 
     The result is exact for white slopes, and approximate for the mean of two tracks.
     """

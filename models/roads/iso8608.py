@@ -4,23 +4,23 @@ The vertical displacement of a road has the one-sided power spectral density
 
     G_d(n) = G_d(n0) (n / n0)^-w,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H.
 
-These are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit between A
-and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) may be given, or the International Roughness Index
-(IRI): G_d(n0) is then that of roads with this mean IRI.
+These values are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit
+between A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the International Roughness Index
+(IRI) may be given. An IRI means the G_d(n0) of roads with this mean IRI.
 
 A road is a sum of sinusoids n_k = k / length with the amplitudes sqrt(2 G_d(n_k) / length) and random phases. By default, the
 band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Below the band, the road would have hills. Above the
 band, waves are shorter than the contact patch of a tyre and do not reach the wheel. The road repeats after `length`.
 
-The standard does not define the coherence of two tracks. Here, it is that of an isotropic surface, which the spectrum of one
-track determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J.
-Sound Vib. 57, 89-100). For two tracks at the distance b, the cross-spectrum is the integral over m of the surface spectrum (n^2
-+ m^2)^(-(w+1)/2) times cos(2 pi m b). It follows that
+The standard does not define the coherence of two tracks. This module uses the coherence of an isotropic surface, which the
+spectrum of one track determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D.
+Robson (1978), J. Sound Vib. 57, 89-100). For two tracks at the distance b, the cross-spectrum is the integral over m of the
+surface spectrum (n^2 + m^2)^(-(w+1)/2) times cos(2 pi m b). It follows that
 
     coherency(n) = 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) = x K_1(x) for w = 2,    x = 2 pi n b.
 
-The coherency is real, 1 for long waves and 0 for short waves. The right track is the coherency times the left track, plus a
-share of an independent track.
+The coherency is real, 1 for long waves and 0 for short waves. For each sinusoid, the right track is the coherency times the
+left track, plus a share of an independent track.
 """
 
 import itertools
@@ -45,9 +45,9 @@ from models.vehicle.names import CLASSES
 LOWEST, HIGHEST = 0.01, 10.0  # cycle/m, default band
 LENGTH = 1024.0  # m, default length
 IRI = SI("m/km", "mean IRI of such roads before the factor, instead of a class", 0.01, 300.0)  # class H has 200
-BAND = (1e-3, 100.0)  # cycle/m, range of allowed bands
+BAND = (1e-3, 100.0)  # range of allowed bands [cycle/m]
 BLOCK = 1_000_000  # number of terms that are summed together if times are not evenly spaced
-FEW = 10  # times; for more evenly spaced times, a transform is faster
+FEW = 10  # number of times; a transform is faster for more times if they are evenly spaced
 FAST = (2, 3, 5, 7, 11)  # prime factors for which NumPy's transforms are fast
 MOST_KEPT = 200_000  # largest number of times whose sum is cached (1.6 MB)
 
@@ -65,7 +65,7 @@ def roughness(road_class: str) -> float:
 
 
 def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHEST, waviness: float = 2.0) -> float:
-    """Returns G_d(n0) [m3] of roads with a given mean IRI. It is proportional to the square of the IRI.
+    """Returns G_d(n0) [m3] of roads with a given mean IRI. G_d(n0) is proportional to the square of the IRI.
 
     Args:
         iri: mean IRI [m/km].
@@ -83,17 +83,18 @@ def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHES
 class Iso8608(Section, Road):
     """Random road of ISO 8608, with a roughness class, an IRI or a spectral density.
 
-    The same seed and length give the same road on every machine, except for rounding errors of its sines. The phases are the
-    raw output of the Philox generator, which NumPy does not change between versions. At time 0, the first wheel comes from flat
-    ground and reaches the road at the road's own height. Its vertical velocity jumps at this time, as for a vehicle that starts
-    in equilibrium and then meets white noise.
+    The same seed and length give the same road on every machine, except for rounding errors of the sines. The phases are the
+    raw output of the Philox generator, which NumPy does not change between versions. At time 0, the first wheel reaches the
+    road. The flat ground before the road has the same height as the beginning of the road. At this time, the road velocity
+    jumps, as for a vehicle that starts in equilibrium and then meets white noise.
 
     Raises:
-        InputError: the class is unknown, the band contains too few sinusoids, or another number is out of its range. Also if
-            the road has more than one of class, IRI and G_d(n0).
+        InputError: the class is unknown, the band contains too few sinusoids, or another number is out of its range. The error
+            is also raised if more than one of class, IRI and G_d(n0) is given.
     """
 
-    settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")  # names of the numbers in a text
+    # Names of the numbers in the text of a road
+    settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")
     road_class: Annotated[
         str, Text("`class` in a text: `A` to `H`, or a limit such as `A/B`; empty if `iri` or `gd` is given")
     ] = "C"
@@ -149,7 +150,7 @@ class Iso8608(Section, Road):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sum of the sinusoids minus their sum at the start [m].
 
-        A vehicle with one track drives on the left one.
+        A vehicle with one track drives on the left track.
         """
         return np.where(t >= 0, self._sum(side, False, t) - np.real(self._lines(side, False)).sum(), 0.0)
 
@@ -159,11 +160,11 @@ class Iso8608(Section, Road):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The beginning of the road [s]."""
+        """Time at which the road begins [s]."""
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns class, IRI or G_d(n0), and then roughness, seed, band, speed, track width, length and factor."""
+        """Returns a description: class, IRI or G_d(n0), then roughness, seed, band, speed, track width, length and factor."""
         return {
             "type": "iso8608",
             **{name: value for name, value in self._rough.items() if value is not None},
@@ -180,7 +181,7 @@ class Iso8608(Section, Road):
 
     @property
     def words(self) -> str:
-        """Class, IRI or G_d(n0), then seed and speed: the properties in which random roads differ."""
+        """Properties in which random roads differ: class, IRI or G_d(n0), then seed and speed."""
         which = f"class {self.road_class}" if self.iri is None else f"IRI {self.iri:g} m/km"
         which = which if self.gd is None else f"G_d(n0) {self.gd:g} m3"
         which += f", waviness {self.waviness:g}" if self.waviness != 2 else ""
@@ -202,7 +203,7 @@ class Iso8608(Section, Road):
 
     @property
     def _rough(self) -> dict[str, float | str | None]:
-        """The three possible measures of roughness, by name. Only one of them has a value."""
+        """The three possible measures of roughness, by name. Only one of the three has a value."""
         return {"class": self.road_class or None, "iri": self.iri, "gd": self.gd}
 
     @property
@@ -212,7 +213,10 @@ class Iso8608(Section, Road):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Band that the sinusoids represent [cycle/m]. It extends half a spacing beyond the first and the last frequency."""
+        """Band that the sinusoids represent [cycle/m].
+
+        The band extends beyond the first and the last frequency by half of the spacing.
+        """
         return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
 
     @property
@@ -284,7 +288,10 @@ def _coherency_of_lines(length: float, lowest: float, highest: float, width: flo
 
 @lru_cache(maxsize=16)
 def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, count: int) -> Array:
-    """Returns the sum at evenly spaced times, shape (T,). It is cached, because simulation and analysis need it many times."""
+    """Returns the sum at evenly spaced times, shape (T,).
+
+    The sum is cached, because simulation and analysis need it many times.
+    """
     lines, turned = road._lines(side, rate), road._turn(np.array(first))
     turn = float(f"{road.speed * step / road.length:.14g}")
     angle = np.arange(count) * (round(road.n[0] * road.length) * turn)
@@ -297,9 +304,9 @@ def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, cou
 def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], Array]:
     """Returns a function that computes the sum over k of x_k exp(-2 pi i k turn j) for j = 0, ..., T - 1.
 
-    The function maps K amplitudes, shape (K,), to T values, shape (T,). It is a chirp z-transform: with
-    2 k j = k^2 + j^2 - (j - k)^2, the sum becomes a convolution of length K + T, which takes the time of an FFT.
-    `scipy.signal.ZoomFFT` gives the same numbers bit for bit, but its import takes 0.5 s.
+    The function maps K amplitudes, shape (K,), to T values, shape (T,). The function is a chirp z-transform. Because 2 k j =
+    k^2 + j^2 - (j - k)^2, the sum becomes a convolution of length K + T, which takes as long as an FFT. `scipy.signal.ZoomFFT`
+    gives the same numbers bit for bit, but its import takes 0.5 s.
     """
     k = np.arange(max(lines, times), dtype=np.int64)
     scale = turn * (times - 1) * times / (times - 1)

@@ -1,4 +1,4 @@
-"""Single obstacles, each defined by one formula; and the table of all roads that are given by a name and numbers."""
+"""Single obstacles, each defined by one formula, and the table of all roads that a name and numbers define."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,12 +12,12 @@ from models.common.schema import SI
 from models.roads.road import Bump, Length, Obstacle, Road, ScaledRoad, Speed, Track
 from models.roads.sinusoids import Sine, SineSweep, Start
 
-AT_ONCE = 1e-9  # s: rounding error of the time at a vertical edge
+AT_ONCE = 1e-9  # rounding error of the time at a vertical edge [s]
 
 
 @dataclass(frozen=True)
 class WattsHump(Obstacle):
-    """Speed hump of Watts: a circular arc. Its slope jumps at both ends.
+    """Speed hump of Watts: a circular arc. The slope of the hump jumps at both ends.
 
     Source: G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597. The humps of the report are
     3.7 m long and 25 to 100 mm high.
@@ -42,7 +42,7 @@ class WattsHump(Obstacle):
 
     @property
     def duration(self) -> float:
-        """Time of a wheel on the hump [s]."""
+        """Time that a wheel spends on the hump [s]."""
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -73,8 +73,8 @@ class WattsHump(Obstacle):
 class Step(Obstacle):
     """Kerb, up or down: rounded as half a period of a cosine, or vertical.
 
-    No real tyre follows a vertical edge, but formulas often assume one. The height then jumps. In the linear response, the
-    velocity is an impulse; in MuJoCo, the height changes between two samples.
+    No real tyre follows a vertical edge, but formulas often assume one. At a vertical edge, the height jumps. In the linear
+    response, the road velocity is an impulse at this edge. In MuJoCo, the height changes between two time steps.
 
     Raises:
         InputError: a number is out of its range, or the edge is not 0 but shorter than the smallest length.
@@ -93,7 +93,7 @@ class Step(Obstacle):
 
     @property
     def rise(self) -> float:
-        """Time of a wheel on the edge [s]."""
+        """Time that a wheel spends on the edge [s]."""
         return self.edge / self.speed
 
     @property
@@ -120,7 +120,7 @@ class Step(Obstacle):
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """The edge, if it is vertical."""
+        """Time of the edge, if the edge is vertical."""
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
@@ -150,7 +150,7 @@ class Pothole(Obstacle):
 
     @property
     def duration(self) -> float:
-        """Time of a wheel in the pothole [s]."""
+        """Time that a wheel spends in the pothole [s]."""
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -165,7 +165,7 @@ class Pothole(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of both ends of both edges [s]."""
+        """Times at which a wheel is at the ends of the two edges [s]."""
         edge = self.edge / self.speed
         return (0.0, edge, self.duration - edge, self.duration)
 
@@ -199,12 +199,15 @@ class Flat(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Empty: the road has no kinks."""
+        """Empty: because the road has no kinks."""
         return ()
 
 
 def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -> None:
-    """Checks that a number is at most half of the length. If it has its default value, the message is about the length."""
+    """Checks that a number is at most half of the length.
+
+    If the number has its default value, the message is about the length.
+    """
     usual, value = getattr(type(road), other), getattr(road, other)
     if value == usual and road.length < 2 * usual:
         short = f"{road.kind} length = {road.length:g} m is less than {least} {usual:g} m"

@@ -12,9 +12,9 @@ from models.common.errors import InputError, first_few
 from models.common.files import reading
 from models.roads.profile import Profile, begun_at
 
-AT_ONCE = 2**20  # number of heights that are computed together; PyOpenCRG needs several hundred bytes for each
-TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters per number, by format
-LINE = 80  # characters in a line of numbers
+AT_ONCE = 2**20  # number of heights that are computed together; PyOpenCRG needs several hundred bytes per height
+TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # number of characters per number, by format
+LINE = 80  # number of characters in a line of numbers
 NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 GIVE = "give an OpenCRG file"
 
@@ -73,7 +73,7 @@ class Surface:
 
 
 def read_surface(path: Path) -> Surface:
-    """Reads the surface of an OpenCRG file. The data may be in another file that this file refers to.
+    """Reads the surface of an OpenCRG file. The file may refer to another file that contains the data.
 
     Raises:
         InputError: PyOpenCRG is not installed, the file is not an OpenCRG file, or the file is incomplete.
@@ -103,11 +103,11 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
     """Raises InputError if the file is incomplete. PyOpenCRG may read such a file as a shorter or stretched road.
 
     Args:
-        header: text with the entries and the channels that are not data.
+        header: text with the entries, and with the channels that do not contain data.
         u: distance of each cross-section [m].
-        width: characters per number; 0 in binary files.
-        channels: numbers per cross-section.
-        last: characters in the last line.
+        width: number of characters per number; 0 for binary files.
+        channels: number of values per cross-section.
+        last: number of characters in the last line.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
         raise InputError(f"the file is incomplete: its last line has {last} characters, not {expected}; give the whole file")
@@ -118,7 +118,10 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
 
 
 def _reason(error: Exception, path: Path) -> str:
-    """Returns the message of PyOpenCRG on one line. Its first line may be empty, followed by a list of errors."""
+    """Returns the message of PyOpenCRG on one line.
+
+    The first line of the message may be empty, and followed by a list of errors.
+    """
     report = getattr(error, "report", None)
     if report is not None:
         return first_few([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])

@@ -18,13 +18,14 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-GAP = 10.0  # largest spacing relative to the median; a wider gap may be missing points, and a spline would invent heights in it
-SHORT = 5.0  # m; a gap up to this length is not suspicious
-SMOOTHEST, STEEPEST = 3e-5, 1.0  # rms slopes; the best runways have 1e-3, the roughest class of ISO 8608 has 0.5
-CHORD = 0.25  # m, length over which slopes are computed, as in ASTM E1926
+GAP = 10.0  # largest spacing relative to the median; in a wider gap, points may be missing, and a spline would invent heights
+SHORT = 5.0  # length [m] up to which a gap is not suspicious
+# Plausible range of the rms slope; the best runways have 1e-3, and the roughest class of ISO 8608 has 0.5
+SMOOTHEST, STEEPEST = 3e-5, 1.0
+CHORD = 0.25  # length over which slopes are computed [m], as in ASTM E1926
 FEWEST = 4  # smallest number of points of a spline
-OFTEN = 0.05  # share of points in wrong order above which a distance may be a coordinate
-START = 11.0  # m; the mean slope over this distance is that of the start, as for the golden car (ASTM E1926)
+OFTEN = 0.05  # if a larger share of points is in the wrong order, the column of distance may be a coordinate
+START = 11.0  # distance [m] over which the mean slope determines the plane of the start, as for the golden car (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # rounding error of a height and of the start's slope, relative to the largest height
 JOINS = ("straight", "smooth")
 Join = Annotated[str, Choice("how points are joined", JOINS)]
@@ -35,8 +36,8 @@ class Profile(MeasuredRoad):
     """Measured road: heights over distance, joined by straight lines (ASTM E1926) or by a cubic spline.
 
     Before the first point, the road is the plane on which the vehicle starts. The plane contains the first heights and has the
-    mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of its own track. After the
-    last point, the road continues with the slope of the last 11 m.
+    mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of the track on which it
+    drives. After the last point, the road continues with the slope of the last 11 m.
 
     Attributes:
         distance: distances of the points [m], ascending, shape (P,).
@@ -47,8 +48,8 @@ class Profile(MeasuredRoad):
         note: remark about the columns of the file, a phrase; empty without a remark.
 
     Raises:
-        InputError: distances do not ascend, a number is not finite, or there are too few points. Also raised if `join` is
-            unknown, or if a spline has a gap.
+        InputError: distances do not ascend, a number is not finite, or there are too few points. The error is also raised if
+            `join` is unknown, or if a spline has a gap.
     """
 
     distance: Array
@@ -102,14 +103,14 @@ class Profile(MeasuredRoad):
                 "straight in this gap, so check that no points are missing"
             )
         chord = max(CHORD, usual)
-        at = np.arange(x[0], x[-1] + chord / 2, chord)  # so that texture does not count
+        at = np.arange(x[0], x[-1] + chord / 2, chord)  # slopes over this length do not include texture
         rough = max(float(np.diff(np.interp(at, x, track)).std()) / chord for track in z.T) if len(at) > 1 else 0.0
         smooth = ROUNDING * max(1.0, float(np.abs(z).max())) / usual < rough < SMOOTHEST
         said = "no road is so smooth: check the units of heights and distances"
         return f"the slope varies by {round(rough, 8):g} rms; {said}" if smooth else ""
 
     def _driven(self, length: float) -> tuple[Array, Array]:
-        """Returns distances and heights of the points, up to the first point beyond a driven length [m]."""
+        """Returns distances and heights of the points up to and including the first point beyond a driven length [m]."""
         points = max(2, int(np.searchsorted(self._x, length)) + 1)
         return self.distance[:points], self.heights[:points]
 
@@ -119,7 +120,7 @@ class Profile(MeasuredRoad):
         return self._end / self.speed
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns height [m] and rate of change [m/s] of the plane at time 0."""
+        """Returns the height [m] of the plane at time 0 and its rate of change [m/s]."""
         first = self.heights[0]
         return float(first[int(side == "right")] - first.mean()) if side else 0.0, self._slope(side, 0) * self.speed
 
@@ -131,7 +132,7 @@ class Profile(MeasuredRoad):
         return on + (self._slope(side, 1) - self._slope(side, 0)) * np.maximum(at - self._end, 0.0)
 
     def departure_rate(self, t: Array, side: str) -> Array:
-        """Returns the time derivative of `departure` [m/s]; at a point, that of the line after the point."""
+        """Returns the time derivative of `departure` [m/s]; at a point, the derivative of the line after the point."""
         x, z = self._x, self._over_plane[side]
         at, after = np.asarray(t) * self.speed, self._slope(side, 1) - self._slope(side, 0)
         if self.join == "straight":
@@ -147,12 +148,12 @@ class Profile(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as a CSV file with exact numbers: distance, left, right [m]."""
+        """All points as the text of a CSV file with exact numbers: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
     def describe(self) -> dict[str, float | str]:
-        """Returns file, number of points, first distance, length, lowest and highest height, speed and join."""
+        """Returns a description: file, number of points, first distance, length, lowest and highest height, speed and join."""
         return {
             "type": "profile",
             "source": self.source,
@@ -210,7 +211,7 @@ class Profile(MeasuredRoad):
 
     @cached_property
     def _over_plane(self) -> dict[str, Array]:
-        """Heights of the points above the plane of the start [m], by side; exactly 0 if they are only rounding errors."""
+        """Heights of the points above the plane of the start [m], by side; rounding errors are replaced by 0."""
         rounding = ROUNDING * np.abs(self.heights).max() * (1 + self._x / min(START, self._end))
         over = {}
         for side in ("", "left", "right"):
@@ -257,7 +258,7 @@ def check_points(
     Args:
         distance: distances of the points [m], shape (P,).
         heights: heights of the left and the right track [m], shape (P, 2).
-        where: function that returns the name of a point in messages, for its index.
+        where: function from the index of a point to its name in messages.
         smooth: True for a spline, which needs more points and must not have gaps.
 
     Raises:
@@ -276,7 +277,7 @@ def check_ascending(
         what: name of the road, for messages.
         x: distances or times of the points, shape (P,).
         heights: heights of the points [m], shape (P, K).
-        where: function that returns the name of a point in messages, for its index.
+        where: function from the index of a point to its name in messages.
         axis: name of the quantity `x`, for messages.
         unit: unit of `x`.
         smooth: True for a spline.
@@ -307,7 +308,7 @@ def check_ascending(
 
 
 def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
-    """Returns a profile from `Profile.points`, with exact numbers.
+    """Returns the profile whose text is `Profile.points`, with exact numbers.
 
     Raises:
         InputError: the content is not valid.
@@ -319,7 +320,7 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
 
 
 def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
-    """Returns the names and the numbers of `Road.points`, with exact numbers.
+    """Returns the column names and the exact numbers in the text `Road.points`.
 
     Raises:
         InputError: the content is not valid.

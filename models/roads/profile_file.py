@@ -1,4 +1,4 @@
-"""Measured roads from files: distance and height in any columns, separators, headings and units; or heights at a constant step.
+"""Measured roads from files: columns of distance and height in many formats, or heights at a constant step.
 
 ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use it to exchange profiles.
 An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
@@ -37,14 +37,16 @@ TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", 
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
 GIVE_COLUMNS = "give two or three column numbers, as in columns=1,3 or columns=1,3,4, or one or two with :step"
 UNITS = tuple(LENGTH)
-# First word of an ERD file; letters of a keyword and of each value; KEYNUM of numbers as text
+# First word of an ERD file; number of letters of a keyword and of a value; KEYNUM of files whose numbers are text
 ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5
 RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
 SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
 A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
-WIDEST = 20.0  # m between points; if the distances have no unit, a wider spacing means that the unit may not be m
+# Distance between points [m]; if a column of distance without a unit has a wider spacing, its unit is probably not m
+WIDEST = 20.0
 STEP_REFUSAL = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
-# Slope of a column over the distance of the rows, in any units of length. No road has such a slope along its whole length.
+# Range of the slope of a column over the distance of the rows, in any units of length, in which the column is a distance. The
+# heights of a road do not rise like this along its whole length.
 LIKE_DISTANCE = (0.2, 5.0)
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
@@ -52,17 +54,18 @@ PLANES = (  # words for coordinates to the east and to the north; a path has one
     ("easting east rechtswert ostwert rw ost utmx", "northing north hochwert nordwert hw nord utmy"),
     ("e", "n"), ("x", "y"), DEGREES,
 )  # fmt: skip
-AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid: semi-major axis [m], and flattening
-BLOCK = 5.0  # m of a path over which positions are averaged
-NOTABLE, NOISY = 0.01, 0.05  # relative lengthening of a path by noise: above the first, a warning; above the second, an error
+AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # semi-major axis [m] and flattening of the ellipsoid
+BLOCK = 5.0  # length of path over which positions are averaged [m]
+# Relative lengthening of a path by noise; values above the first number cause a warning, above the second number an error
+NOTABLE, NOISY = 0.01, 0.05
 # Relative difference of two lengths that causes a warning, and ratio of two lengths that causes an error
 DIFFERENT, OTHER = 0.05, 2.5
-APART = 100.0  # m, largest difference between the heights of two tracks
-SLIGHT, DIVERGING = 2.0, 0.2  # largest change of this difference along a road: in m, and relative to the distance
+APART = 100.0  # largest difference between the heights of two tracks [m]
+SLIGHT, DIVERGING = 2.0, 0.2  # largest change of this difference along a road [m], and the same relative to the distance
 
 
 def _columns(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
-    """Returns the columns, counted from 0, of a text such as 1,3, in which they are counted from 1."""
+    """Reads column numbers from a text such as 1,3, in which they are counted from 1; returns them counted from 0."""
     if not isinstance(value, str) or not COLUMNS.fullmatch(value):
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; {GIVE_COLUMNS}")
     return tuple(int(column) - 1 for column in value.split(","))
@@ -93,7 +96,7 @@ class TableSettings(Section):
 
 
 def read_profile(path: Path, speed: float, given: TableSettings = TableSettings()) -> Profile:
-    """Reads a profile from a text file. Its headings may give the quantity and the unit of each column.
+    """Reads a profile from a text file. The headings in the file may give the quantity and the unit of each column.
 
     Args:
         path: path of the file.
@@ -161,13 +164,13 @@ def choose_columns(
 ) -> Sequence[int]:
     """Returns the columns of distance and height, or of distance, left and right, counted from 0.
 
-    The headings determine the columns; without headings, their order does.
+    The columns are found by their headings or, if there are no headings, by their order.
 
     Args:
         table: the table.
         headings: headings of all columns.
         wanted: the requested columns, counted from 0; empty without a request.
-        stepped: True if the rows have a constant step, so there is no column of distance.
+        stepped: True if the rows have a constant step, so that there is no column of distance.
 
     Raises:
         InputError: the headings are ambiguous or contradict the requested columns, or the number of columns is not two or
@@ -203,7 +206,7 @@ def choose_columns(
 
 
 def erd_text(text: str) -> tuple[str, str]:
-    """Returns the numbers of an ERD file as a table with headings, and its step as text with the unit.
+    """Returns the numbers of an ERD file as a table with headings, and the step as text with its unit.
 
     Raises:
         InputError: the numbers are binary, or the header has no sizes or no end.
@@ -224,7 +227,7 @@ def erd_text(text: str) -> tuple[str, str]:
 
 
 def rdf_text(text: str) -> str:
-    """Returns the table of an RDF file of the type `poly_line`, with headings and with the line numbers of the file.
+    """Returns the table of an RDF file of the type `poly_line` with headings, and the number of each row's line in the file.
 
     Raises:
         InputError: the road has another type, or the file has no table.
@@ -257,7 +260,7 @@ def rdf_text(text: str) -> str:
 def _coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
     """Returns the columns of two horizontal coordinates, east and north, counted from 0.
 
-    Empty if the table has no such columns, or no column of height.
+    The result is empty if the table does not contain these columns, or no column of height.
     """
     if len(wanted) == 2 or not (wanted or {"height", "left", "right"} & {one.quantity for one in headings}):
         return []
@@ -316,10 +319,10 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
 def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> list[str]:
     """Returns a warning if a column of distance differs from the length of the path through coordinates in the same table.
 
-    Coordinates that cannot be read give no warning.
+    If the coordinates cannot be read, there is no warning.
 
     Raises:
-        InputError: the difference is larger than that of map projections, for example because the column contains station
+        InputError: the difference is larger than map projections cause, for example because the column contains station
             numbers.
     """
     own, length = float(np.ptp(distance)), 0.0
@@ -351,7 +354,7 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
 
 
 def _is_distance(column: Array, step: float) -> bool:
-    """Returns True if the values rise evenly, by about the step [m] in some unit, as distances do and road heights do not."""
+    """Returns True if the values rise evenly, by about the step [m] in some unit, so that they are distances and not heights."""
     rises = np.diff(column)
     mean = float(rises.mean()) if len(rises) else 0.0
     low, high = LIKE_DISTANCE

@@ -19,7 +19,7 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-STROKE = 2.0  # m, largest travel of a post from its first height
+STROKE = 2.0  # largest travel of a post from its first height [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +27,14 @@ class Rig(MeasuredRoad):
     """Posts of a test rig: a cubic spline through the heights of every post over time, with its exact time derivative.
 
     Before its first point, a post stays at its first height; after its last point, it stays at its last height. Slopes are zero
-    at both ends. The vehicle does not move forward, so all wheels are independent and the speed has no effect. It starts in
-    equilibrium on the first heights, whose mean is the datum.
+    at both ends. The vehicle does not move forward, so all wheels are independent and the speed has no effect. The vehicle
+    starts in equilibrium on the first heights, whose mean is the datum.
 
     Attributes:
         time: times of the points [s], ascending, shape (P,).
         heights: heights of the K posts [m], shape (P, K).
-        posts: names of the wheels on the K posts: the road signal, the body of the road, or the suffix of either.
+        posts: names of the wheels on the K posts. A name is the road signal, the MJCF body of the road, or the suffix of one of
+            them.
         source: name of the file.
 
     Raises:
@@ -78,7 +79,7 @@ class Rig(MeasuredRoad):
         return 0.0
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the first height of a post [m], and the rate 0; without a name, those of the first post."""
+        """Returns the first height of a post [m] and the rate 0; without a name, for the first post."""
         first = self.heights[0]
         return float(first[self._index(side)] - first.mean()), 0.0
 
@@ -99,12 +100,12 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """All points as a CSV file with exact numbers: time [s], heights [m]."""
+        """All points as the text of a CSV file with exact numbers: time [s], heights [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
     def describe(self) -> dict[str, float | str]:
-        """Returns file, posts, number of points, duration, and lowest and highest height."""
+        """Returns a description: file, posts, number of points, duration, and lowest and highest height."""
         return {
             "type": "rig",
             "source": self.source,
@@ -145,7 +146,7 @@ class Rig(MeasuredRoad):
 def post_name(text: str) -> str:
     """Returns the normal form of a column's name.
 
-    `Front Left`, `LF` and `road_displacement_front_left` are equal in this form.
+    In this form, `Front Left`, `LF` and `road_displacement_front_left` are equal.
     """
     name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
     return CORNERS.get(name, name)
@@ -164,7 +165,7 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     Args:
         time: times of the heights [s], shape (P,).
         heights: heights of the posts [m], shape (P, K).
-        where: function that returns the name of a point in messages, for its index.
+        where: function from the index of a point to its name in messages.
 
     Raises:
         InputError: times do not ascend or have a gap, a number is not finite, a stroke is too long, or there are too few
@@ -200,7 +201,7 @@ def check_posts(posts: Sequence[str]) -> None:
 
 
 def rig_from_csv(content: bytes, source: str) -> Rig:
-    """Returns a rig from `Rig.points`, with exact numbers.
+    """Returns the rig whose text is `Rig.points`, with exact numbers.
 
     Raises:
         InputError: the content is not valid.

@@ -22,7 +22,7 @@ FORMAT = "give a line of headings such as: time [s], front_left [mm], front_righ
 
 @dataclass(frozen=True)
 class RigSettings(Section):
-    """Settings of a drive file, for headings without a unit."""
+    """Settings for reading a drive file whose headings have no units."""
 
     time_unit: Annotated[str, Choice("unit of time", tuple(TIME))] = ""
     height_unit: Annotated[str, Choice("unit of all heights", tuple(LENGTH))] = ""

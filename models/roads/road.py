@@ -25,8 +25,8 @@ HIGHEST = 10.0  # m
 Length = Annotated[float, SI("m", "length", 1e-3, 1e4)]
 Speed = Annotated[float, SI("m/s", "speed of the vehicle", 1e-3, 1e3)]
 Track = Annotated[str, Choice("side of the road that it is under", ("left", "right", "both"))]
-STEADY = 1e-12  # relative to the largest state or signal term in steady motion; smaller values are rounding errors
-LOWEST = 1e-5  # m; rounding errors of the vehicle's weight would hide the effect of a lower road
+STEADY = 1e-12  # smaller values, relative to the largest term of a state or signal in steady motion, are rounding errors
+LOWEST = 1e-5  # smallest height of a road [m]; rounding errors of the vehicle's weight would hide the effect of a lower road
 
 
 class Road(ABC):
@@ -56,7 +56,7 @@ class Road(ABC):
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the numbers in the road's description, by name."""
+        """Units of the numbers in the road's description, by the name of the number."""
         return {name: key.unit for name, key in keys(type(self)).items()} if isinstance(self, Section) else {}
 
     @property
@@ -73,7 +73,7 @@ class Road(ABC):
     def from_start(self) -> "Road":
         """The road relative to the steady motion in which the vehicle starts (`MeasuredRoad`).
 
-        The same road if the vehicle starts in equilibrium on flat ground.
+        If the vehicle starts in equilibrium on flat ground, this is the road itself.
         """
         return self
 
@@ -103,7 +103,7 @@ class Road(ABC):
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the loads that MuJoCo holds over time steps, shape (T, l): by default, those in the middle of each step.
+        """Returns the loads that MuJoCo holds over time steps, shape (T, l); by default, the loads in the middle of each step.
 
         Args:
             vehicle: the vehicle, with l loads.
@@ -124,7 +124,7 @@ class Road(ABC):
 
         By default, this is the height in the middle of each step.
 
-        A measured road may have several points within a step. It is held at its mean height over the step.
+        A measured road may have several points within a step. MuJoCo therefore holds its mean height over the step.
 
         Args:
             t: middle times of the steps [s].
@@ -150,8 +150,8 @@ class Road(ABC):
     def jumps(self) -> tuple[tuple[float, float], ...]:
         """Times [s] at which the height jumps, each with the change of height [m].
 
-        At the time of a jump, the road still has its earlier height. `velocity` does not include jumps; `kinks` includes their
-        times.
+        At the time of a jump, the road still has its earlier height. The method `velocity` does not include jumps, but `kinks`
+        includes their times.
         """
         return ()
 
@@ -201,14 +201,16 @@ class Road(ABC):
 
 @dataclass(frozen=True)
 class Obstacle(Section, Road):
-    """Road with a few numbers: the fields of the class. They are also the keys in texts, in tables and in logs.
+    """Road that is defined by a few numbers, which are the fields of the class.
+
+    The names of the fields are also the keys in texts, tables and logs.
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
     """
 
     kind: ClassVar[str]
-    tall: ClassVar[tuple[str, ...]] = ("height",)  # fields that `scaled` multiplies
+    tall: ClassVar[tuple[str, ...]] = ("height",)  # names of the fields that `scaled` multiplies
 
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind} ")
@@ -238,7 +240,7 @@ class Bump(Obstacle):
 
     @property
     def duration(self) -> float:
-        """Time of a wheel on the bump, L / V [s]."""
+        """Time that a wheel spends on the bump, L / V [s]."""
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -247,7 +249,7 @@ class Bump(Obstacle):
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of (61)."""
+        """Returns the time derivative of the height (61)."""
         on = self._on(t, side)
         return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
 
@@ -307,7 +309,7 @@ class DerivedRoad(Road):
 
     @property
     def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the other road lies along the driving direction."""
+        """True if the vehicle drives along the other road."""
         return self.road.laid
 
     def track_of(self, wheel: Wheel) -> str:
@@ -320,7 +322,7 @@ class DerivedRoad(Road):
 
 
 class MeasuredRoad(Road):
-    """Road of measured heights. The vehicle starts on it in steady motion: each wheel climbs a straight line.
+    """Road of measured heights. The vehicle starts on the road in steady motion: each wheel moves along a straight line.
 
     Heights are relative to one datum, the mean of the heights at the first contact points.
     """
@@ -354,11 +356,14 @@ class MeasuredRoad(Road):
     @property
     @abstractmethod
     def knots(self) -> Array:
-        """Times of the points [s], ascending. Between two points, `departure` is a line or a cubic."""
+        """Times of the points [s], ascending. Between two points, `departure` is a straight line or a cubic polynomial."""
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of all points [s]. They are kinks for splines, too: many spline segments in one step reduce the accuracy."""
+        """Times of all points [s].
+
+        The points of a spline also count as kinks, because many spline segments in one step reduce the accuracy.
+        """
         return tuple(self.knots.tolist())
 
     def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
@@ -443,7 +448,7 @@ class ScaledRoad(DerivedRoad):
 def means(function: Callable[[Array], Array], knots: Array, t: Array, length: float) -> Array:
     """Returns the means of a function over intervals, same shape as t.
 
-    The result is exact if the function is a line or a cubic between knots.
+    The result is exact if the function is a straight line or a cubic polynomial between knots.
 
     Args:
         function: continuous function to average.
@@ -498,17 +503,17 @@ SAME_TIME = 1e-12  # rounding error of a time, relative to the timestep
 
 
 def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, float]]:
-    """Returns the jumps of a road's height under the wheels: time [s], index of the wheel, and change of height [m]."""
+    """Returns the jumps of a road's height under the wheels, each with time [s], index of the wheel, and change of height [m]."""
     later = enumerate(delays(road, vehicle))
     return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
 
 
 class Edge(NamedTuple):
-    """Vertical edge of the road at a sample.
+    """Vertical edge of the road near a sample.
 
     Attributes:
-        change: change of the heights under the r wheels, to the other side of the edge [m], shape (r,).
-        behind: True if the sample already has the height behind the edge.
+        change: change of the heights under the r wheels from this side of the edge to the other side [m], shape (r,).
+        behind: True if, at the sample, the wheels are already behind the edge.
     """
 
     change: Array
@@ -517,17 +522,17 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadInput:
-    """Road and loads at the samples of a run. Each quantity is computed once, when it is first needed.
+    """Road and loads at the samples of a run. Each quantity is computed when it is first needed, and then cached.
 
-    Heights and velocities are relative to the steady motion in which the vehicle starts (`MeasuredRoad`). This is an inertial
-    frame in which the run starts in equilibrium. `steady_signals` returns the steady motion.
+    Heights and velocities are relative to the steady motion in which the vehicle starts (`MeasuredRoad`). The steady motion is
+    an inertial frame, in which the run starts in equilibrium. `steady_signals` returns the steady motion.
 
     Attributes:
         vehicle: vehicle with r wheels and l loads on its body.
         road: the road.
         time: equidistant sample times [s], shape (T,).
         earlier: True to repeat a run of an earlier version. In these runs, the signals at a sample used the load of the step
-            that begins there, and vertical edges had only one side.
+            that begins at the sample, and vertical edges had only one side.
     """
 
     vehicle: Vehicle
@@ -547,7 +552,7 @@ class RoadInput:
 
     @property
     def has_held_inputs(self) -> bool:
-        """True if other inputs than road heights are held over steps: loads, or road velocities through tyres with damping."""
+        """True if other inputs than road heights are held over time steps: loads, or road velocities if tyres have damping."""
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
@@ -558,14 +563,14 @@ class RoadInput:
     def steady_signals(self, time: Array) -> Array | None:
         """Returns the vehicle's signals in the steady motion, from its linear model.
 
-        The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero
-        except in two cases: posts that warp the vehicle, and the weight of an inclined body with a roll or pitch axis.
+        The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero with
+        two exceptions: posts can warp the vehicle, and the weight of an inclined body with a roll or pitch axis has a moment.
 
         Args:
             time: times [s], shape (T,).
 
         Returns:
-            Signals, shape (T, S); None for equilibrium on a flat road.
+            Signals of the steady motion, shape (T, S); None for equilibrium on a flat road.
         """
         if not isinstance(self.relative_road, Departure):
             return None
@@ -593,7 +598,7 @@ class RoadInput:
         return self.held_heights(self.time + self.timestep / 2)
 
     def held_heights(self, middle: Array) -> Array:
-        """Returns the heights at which MuJoCo holds the road over steps with given middle times [s] [m], shape (T, r)."""
+        """Returns the heights [m] at which MuJoCo holds the road over steps with given middle times [s], shape (T, r)."""
         return under_wheels(
             lambda t, side: self.relative_road.held_height(t, self.timestep, side), self.relative_road, self.vehicle, middle
         )
@@ -617,9 +622,10 @@ class RoadInput:
     def held_velocities(self) -> Array:
         """Mean rates of the heights over the steps that begin at the samples [m/s], shape (T, r).
 
-        MuJoCo holds these velocities.
+        MuJoCo holds these velocities over the steps.
 
-        With a mean rate, tyre damping c gives the impulse c dz in every step, even across a kink or an edge.
+        With the mean rate, the tyre damping c gives the impulse c dz in every step in which the height changes by dz, even
+        across a kink or an edge.
         """
         end = under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, self.time[-1:] + self.timestep)
         return np.diff(self.heights, axis=0, append=end) / self.timestep
@@ -636,12 +642,12 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """Inputs of the signals at the samples: the loads there, and the held road velocities; shape of `held_inputs`."""
+        """Inputs that act on the signals at the samples: present loads, and held road velocities; same shape as `held_inputs`."""
         return self.held_inputs if self.earlier else np.hstack([self.loads, self.held_inputs[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs of the measurements, before new forces act: the loads at the samples, and the velocities held until then."""
+        """Inputs that act on the measurements before new forces act: present loads, and road velocities before the samples."""
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
@@ -651,7 +657,7 @@ class RoadInput:
         Args:
             held: True for the road that MuJoCo holds over steps. An edge in the first half of a step acts at the beginning of
                 the step. An edge in the second half acts at the end, where the sample already has the height behind the edge.
-                False for the last samples before the edges.
+                False to return the last samples before the edges.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():

@@ -1,4 +1,4 @@
-"""Roads made of sinusoids: a sum, a single sinusoid, a worst-case road, and a sweep with rising frequency."""
+"""Roads that consist of sinusoids: a sum, a single sinusoid, a worst-case road, and a sweep with rising frequency."""
 
 import math
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ from models.common.schema import SI, Choice, ListedValues, Section
 from models.roads.road import Obstacle, Road, Speed
 
 Start = Annotated[float, SI("s", "time at which the first wheel reaches it", 0.0, 1e4)]
-BLOCK = 4_000_000  # number of sines that are evaluated together; a larger number only needs more memory
+BLOCK = 4_000_000  # number of sines that are evaluated together; a larger number would need more memory without being faster
 MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
 
 
 @dataclass(frozen=True)
 class Multisine(Section, Road):
-    """Sum of sinusoids that begins at time 0. Heights are relative to that at time 0; before, the road is flat.
+    """Sum of sinusoids that begins at time 0. Heights are relative to the height at time 0. The road is flat before time 0.
 
     z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
 
@@ -37,7 +37,7 @@ class Multisine(Section, Road):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the keys of a description, without those that are computed from others."""
+        """Returns the keys of a description, without keys whose values are computed from other keys."""
         return {name: value for name, value in given.items() if name not in ("lines", "lowest", "highest", "rms")}
 
     @property
@@ -56,11 +56,11 @@ class Multisine(Section, Road):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The beginning [s], at which the velocity jumps. After that, the road is smooth."""
+        """Time at which the road begins [s]. The velocity jumps at this time; later, the road is smooth."""
         return (0.0,)
 
     def describe(self) -> dict[str, Any]:
-        """Returns number, frequency range and rms of the sinusoids, and the numbers of each sinusoid."""
+        """Returns a description: number, frequency range and rms of the sinusoids, and the numbers of each sinusoid."""
         return {
             "type": self.name,
             "lines": len(self.omega),
@@ -100,10 +100,10 @@ def _blocks(t: Array, lines: int) -> list[Array]:
 def chirp(omega: Array, period: float, speed: float) -> Multisine:
     """Returns sinusoids of equal velocity amplitude with Schroeder's phases: a periodic chirp with a low crest factor.
 
-    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. The phases make the group delay at a frequency
-    proportional to the power below this frequency, so the sinusoids follow each other over the period. The phases are phi_i =
-    -T sum over l < i of p_l (omega_i - omega_l), here with the powers p_l = 1/F. Equal velocity amplitudes give white velocity,
-    as on a road of ISO 8608 with w = 2.
+    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. With these phases, the group delay at a frequency is
+    proportional to the power below this frequency. The sinusoids therefore follow each other over the period. The phases are
+    phi_i = -T sum over l < i of p_l (omega_i - omega_l), where all F sinusoids have the same power p_l = 1/F. Equal velocity
+    amplitudes give white velocity, as on a road of ISO 8608 with w = 2.
 
     Args:
         omega: ascending angular frequencies [rad/s], multiples of 2 pi / period, shape (F,).
@@ -126,7 +126,7 @@ def random_road(omega: Array, seed: int, speed: float) -> Multisine:
 
 
 def sinusoid(omega: float, speed: float) -> Multisine:
-    """Returns one sinusoid that starts with zero velocity: z_r = 1 - cos(omega t) [m]."""
+    """Returns a sinusoid with the angular frequency omega that starts with zero velocity: z_r = 1 - cos(omega t) [m]."""
     return Multisine((omega,), (1.0,), (-np.pi / 2,), speed, "sinusoid")
 
 
@@ -136,7 +136,9 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 
 @dataclass(frozen=True)
 class Sine(Obstacle):
-    """Sine that begins at a given phase. Heights are relative to that at the beginning; before, the road is flat.
+    """Sine that begins at a given phase.
+
+    Heights are relative to the height at the beginning. The road is flat before the beginning.
 
     z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
 
@@ -161,7 +163,7 @@ class Sine(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The beginning of the sine [s]."""
+        """Time at which the sine begins [s]."""
         return (self.start,)
 
     def _angle(self, t: Array) -> Array:
@@ -193,7 +195,7 @@ class SineSweep(Obstacle):
         SI("Hz", low=self.lowest * 1.001, high=100.0).number("sweep highest", self.highest)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height [m], equal on both sides. After the sweep, it keeps its last value."""
+        """Returns the height [m], equal on both sides. After the sweep, the height keeps its last value."""
         t = np.clip(t, 0.0, self.duration)
         return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
 

@@ -38,36 +38,37 @@ class Spectrum:
         return coherency(omega / (2 * np.pi * self.speed), self.track_width, self.waviness)
 
     def slope(self, omega: Array) -> Array:
-        """Returns the velocity amplitude relative to that at `N0`, same shape as omega; 1 for waviness 2."""
+        """Returns the velocity amplitude divided by the amplitude at `N0`, same shape as omega; 1 for waviness 2."""
         return slope_power(omega / (2 * np.pi * self.speed), self.waviness) ** 0.5
 
 
 def slope_power(n: Array, waviness: float) -> Array:
-    """Returns the spectral density of a road's slope relative to that at `N0`, (n / n0)^(2 - w), for n in cycle/m."""
+    """Returns the spectral density of a road's slope, divided by the density at `N0`: (n / n0)^(2 - w), for n in cycle/m."""
     return (np.asarray(n) / N0) ** (2 - waviness)
 
 
 def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
     """Returns the coherency of two tracks on an isotropic surface (see `iso8608`), same shape as n.
 
-    The coherency is 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) with x = 2 pi n b; for w = 2, it is x K_1(x).
+    The coherency is 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) with x = 2 pi n b and the modified Bessel function K. For w = 2, this
+    is x K_1(x).
 
     Args:
         n: spatial frequencies [cycle/m].
-        width: distance between the tracks, b [m].
+        width: distance b between the tracks [m].
         waviness: w.
     """
     from scipy import special  # importing SciPy takes 0.1 s
 
     x = 2 * np.pi * np.asarray(n) * width
     half, there = waviness / 2, np.where(x > 0, x, 1.0)
-    if waviness == 2:  # gives the same numbers, bit for bit, as versions without a waviness
+    if waviness == 2:  # this case gives the same numbers, bit for bit, as versions without a waviness
         return np.where(x > 0, x * special.k1(there), 1.0)
     return np.where(x > 0, 2 / special.gamma(half) * (there / 2) ** half * special.kv(half, there), 1.0)
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
-    """Returns the road under every wheel if the road under the first wheel is exp(j omega t), shape (F, r).
+    """Returns the road's complex amplitude under every wheel if the road under the first wheel is exp(j omega t), shape (F, r).
 
     Args:
         vehicle: vehicle with r wheels.
@@ -81,7 +82,7 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
 def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
     """Returns the shares of two independent sources in the road velocity on every wheel's track, shape (F, r, 2).
 
-    The shares are relative to the road velocity at `N0`.
+    The shares are relative to the amplitude of the road velocity at `N0`.
     """
     alike = road.coherency(omega)
     left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
@@ -100,7 +101,7 @@ def longest_panel(vehicle: Vehicle, speed: float, ahead: float = 0.0) -> float:
     Args:
         vehicle: the vehicle.
         speed: vehicle speed [m/s].
-        ahead: preview time, by which the road is known ahead [s].
+        ahead: preview time, for which the road ahead is known [s].
     """
     delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed + ahead
     return 2 * np.pi / delay if delay else math.inf

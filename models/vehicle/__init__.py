@@ -1,1 +1,4 @@
-"""Vehicle files: parameters, controllers, goals, weights, limits and implementation. Also builds the MuJoCo model."""
+"""Vehicle files: parameters, controllers, goals, weights, limits and implementation.
+
+The package also builds the MuJoCo model of a vehicle.
+"""

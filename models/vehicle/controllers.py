@@ -37,13 +37,15 @@ PUSHING_ACTUATORS = "force"  # value of `actuators` in a controller's section
 
 @dataclass(frozen=True)
 class DesignConditions:
-    """Sensor noise, actuator lag and loads for which a controller is designed and certified. By default, none of these.
+    """Sensor noise, actuator lag and loads for which a controller is designed and certified.
+
+    By default, a design uses none of these.
 
     Attributes:
         noise: rms noise of each measured signal, in the unit of the signal; empty for exact measurements.
         bandwidth: corner frequency of the first-order lag of every actuator [rad/s]; None for actuators without lag.
-        loads: loads on the body as additional disturbances: the name of each load, and the load that has the same weight as 1
-            m/s of the disturbance w [N, N m].
+        loads: loads on the body as additional disturbances, by name: the size of the load that has the same weight in a design
+            as 1 m/s of the disturbance w [N, N m].
     """
 
     public_name = "design conditions, such as vehicle.hardware(name) returns"
@@ -93,7 +95,7 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Signals that the controller refers to: the measured signals, and those of its goals."""
+        """Signals that the controller refers to: the measured signals, and the signals in its goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
@@ -115,7 +117,7 @@ class ControllerEntry:
     def parts(self) -> dict[str, str]:
         """The source and the options of the controller, with keys and values as in a vehicle file.
 
-        They are rows of the table of compatible options.
+        Each of these is a row in the table of options that can be combined.
         """
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
@@ -124,7 +126,7 @@ class ControllerEntry:
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
     def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
-        """Returns the controller. Arguments and errors are those of `LawSource.driver`."""
+        """Returns the controller. For arguments and errors, see `LawSource.driver`."""
         return self.source.driver(self.name, self.measured, design, read)
 
 
@@ -160,7 +162,7 @@ def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[f
 
     Args:
         value: a number, a row of numbers or rows of numbers.
-        give: end of the error message for any other value: what to give instead.
+        give: end of the error message for an invalid value, which describes a valid value.
         largest: largest magnitude of an entry.
     """
     rows = value if isinstance(value, list | tuple) else [value]
@@ -186,7 +188,7 @@ ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}
 
 @dataclass(frozen=True, kw_only=True)
 class SignalSection(Demands):
-    """Keys with the measured signals. Other keys of a controller's section refer to these signals."""
+    """Keys with the measured signals. The other keys of a controller's section refer to these signals."""
 
     study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
     measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured_signals, allowed=NAMES)] = ()
@@ -199,7 +201,7 @@ class GivenSection(SignalSection):
     `ControllerSection` has these and all other keys.
     """
 
-    order = design = preview = goals = errors = None  # keys and properties of other control laws
+    order = design = preview = goals = errors = None  # keys and properties that only other control laws have
 
     gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain, allowed=ROWS)] = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
@@ -227,7 +229,7 @@ class GivenSection(SignalSection):
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
         """Returns the linear law in the section, or None if the section has no numbers.
 
-        Arguments are those of `law_structure`.
+        For the arguments, see `law_structure`.
         """
         return None if self.gain is None else static_law(np.array(self.gain))
 
@@ -322,7 +324,10 @@ def _entry(
     dampers: Mapping[str, str],
     sampled: bool,
 ) -> ControllerEntry:
-    """Returns the entry of a controller's section, before the checks in `read_controllers` that involve other entries."""
+    """Returns the controller that a section describes.
+
+    `read_controllers` then checks it together with other entries of the file.
+    """
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)
     semi_active = asked.semi_active_law([key for key in given if key != "actuators"], model.outputs, model.inputs, dampers)

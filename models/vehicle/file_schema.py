@@ -1,4 +1,4 @@
-"""JSON schema of vehicle files. Editors use it to complete keys, to show their meanings and to mark mistakes."""
+"""JSON schema of vehicle files. With this schema, an editor can complete keys, show their meanings and mark mistakes."""
 
 from collections.abc import Iterable
 from typing import Any

@@ -2,7 +2,8 @@
 
 A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
 and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
-`outputs` assign signals to them. The step of the FMU from one sample to the next computes the forces that are held in between.
+`outputs` assign signals to them. At each sample, the FMU does a step to the next sample. The outputs of this step are the
+forces that are held until the next sample.
 """
 
 import hashlib
@@ -82,7 +83,7 @@ class ForeignFmu:
         with self._errors():
             self._set_inputs(sample)
             result = self._fmu.doStep(sample.time, sample.period)
-            if result and result[1]:  # FMI 3 reports the end of a simulation here
+            if result and result[1]:  # in FMI 3, this value reports that the FMU has ended the simulation
                 raise InputError("the FMU ended the simulation")
             return [getattr(self._fmu, f"get{one.type}")([one.valueReference])[0] for one in self._forces]
 
@@ -107,7 +108,7 @@ _messages: list[str] = []
 
 
 def _log(*arguments: Any) -> None:
-    status, _, text = arguments[-3:]  # the last three arguments in both FMI 2 and FMI 3
+    status, _, text = arguments[-3:]  # these are the last three arguments in both FMI 2 and FMI 3
     if status > 1:
         _messages.append(text.decode(errors="replace"))
 
@@ -126,7 +127,7 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
     """
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
         raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
-    # Variables of other types keep their start values
+    # Only real variables are used; variables of other types keep their start values
     real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]
     inputs, outputs = (
         {names.get(one.name, one.name): one for one in real if one.causality == kind} for kind in ("input", "output")
@@ -148,7 +149,7 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         unit = one.unit or (one.declaredType and one.declaredType.unit)
         signal = next(
             (known for known in KNOWN_SIGNALS if f"{name}_".startswith(f"{known.name}_")), None
-        )  # the name may end with a corner
+        )  # the name of a variable may end with the name of a corner
         if unit and signal and _plain(unit) != signal.unit:
             raise InputError(f"{one.name} of the FMU has the unit {short_repr(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces

@@ -1,10 +1,10 @@
 """Replacement of file names in a vehicle file by the contents of the files: control laws, vehicle families and tables.
 
-After this replacement, the text of a vehicle is complete. Logs, campaigns and saved files contain all numbers, and their
-readers never open another file. A comment in the text gives the source of the numbers.
+After this replacement, the text of a vehicle is complete: logs, campaigns and saved files contain all numbers, so they can be
+read without other files. A comment in the text gives the source of the numbers.
 
-A TOML file with a family contains only the key `family`, as in a controller's section. A CSV file with a family has one vehicle
-per row: the header contains names of parameters, and the numbers are factors on these parameters.
+A TOML file with a family contains only the key `family`, as in a controller's section. A CSV file with a family has a row for
+each vehicle. The header contains names of parameters, and the numbers are factors on these parameters.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -47,7 +47,8 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
     """Returns the text of a vehicle file with additional lines that contain sections of controllers.
 
     Raises:
-        InputError: the text has all controllers in one inline table. TOML does not allow additional sections in this case.
+        InputError: the text has all controllers in one inline table. TOML does not allow additional sections if `controllers`
+            is an inline table.
     """
     try:
         parse_toml(f'{text}\n[controllers.""]')
@@ -78,7 +79,10 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
 
 
 def _entries(data: Mapping[str, Any], key: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yields the name and the section of each controller that has a key. Other readers refuse values that are not sections."""
+    """Yields the name and the section of each controller that has a key.
+
+    Values that are not sections are skipped, because other readers refuse them.
+    """
     controllers = data.get("controllers")
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():
         if isinstance(entry, dict) and key in entry:

@@ -1,4 +1,4 @@
-"""Controllers and weights with an integrator: which options they can be combined with, and why not with others."""
+"""Controllers and weights with an integrator: checks of the options that they can be combined with."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ def check_integrals(
 
     Args:
         entry: a controller.
-        integrals: integrated signals in the z of the vehicle, by name of the integrator state.
+        integrals: integrated signals in the output z of the vehicle, by name of the integrator state.
         heard: sensor noise of the implementation, an rms value by signal.
         sampled: True if the controllers are designed for the sampled loop.
 
@@ -28,7 +28,7 @@ def check_integrals(
     noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
     if request.design == "lqg":
         noisy |= {name: rms for name, rms in heard.items() if name in entry.measured}
-    # Only a law that measures the whole integrated signal integrates the noise on this signal.
+    # Only a law that measures the whole integrated signal also integrates the noise of this signal.
     integrated = [name for terms in integrals.values() if {*terms} <= {*entry.measured} for name in terms if noisy.get(name)]
     refused = {
         f"{SAMPLED_REFUSAL}; omit sampled": sampled or request.sampled,

@@ -18,7 +18,7 @@ TRANSFER = ("num", "den")  # transfer function from one measurement to one force
 PERIODS = ("Ts", "sample_period")
 DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")  # fields of a struct that get(sys) returns
 SAVE = "save('FILE.mat', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
-KINDS = {"U": "text", "O": "a cell array or an object", "V": "a struct"}  # by the letter of the NumPy type
+KINDS = {"U": "text", "O": "a cell array or an object", "V": "a struct"}  # descriptions by the letter of the NumPy type
 
 
 def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
@@ -28,7 +28,8 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
         content: bytes of the file.
 
     Returns:
-        The matrices or the gain by key, as in a vehicle file; and the sample period [s], None for a continuous or static law.
+        The matrices or the gain by key, as in a vehicle file, and the sample period [s], which is None for a continuous or
+        static law.
 
     Raises:
         InputError: the file does not have this format, or does not contain exactly one controller.
@@ -64,7 +65,8 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
         raise InputError(f"the file contains several controllers, in {' and '.join(holding)}; keep one of them")
     for where, values in holding.items():
         return where, _as_matrices(where, values)
-    if "None" in variables:  # SciPy uses this name for objects; a row of four values contains their own name and class
+    # SciPy uses this name for objects, each of which is a row of four values with its own name and class
+    if "None" in variables:
         name, _, kind, _ = (part.decode() if isinstance(part, bytes) else part for part in variables["None"][0])
         raise InputError(
             f"{name} is a MATLAB object of class {kind}, which only MATLAB can read; for a system, call "
@@ -103,7 +105,7 @@ def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    """Returns a matrix of real finite numbers. The law checks its size later."""
+    """Returns a matrix of real finite numbers. The size of the matrix is checked later, when the law is created."""
     if value.dtype.kind in KINDS:
         raise InputError(f"{name} is {KINDS[value.dtype.kind]}, not a matrix of numbers; in MATLAB, call {SAVE}")
     return real_matrix(value, name, np.inf)[0]

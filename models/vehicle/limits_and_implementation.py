@@ -1,6 +1,6 @@
 """`[limits]` and `[implementation]` of a vehicle file: properties of a real car that linear analysis ignores.
 
-Both are off by default.
+By default, there are no limits, and the implementation is ideal.
 """
 
 import math
@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     from models.parts.stops.stop import BumpAndRebound
 
 ORDERS = ("force", "command")  # values of `Limits.limit`
-# N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
+# largest requested force [N] of an actuator with a largest force; larger requests count as this, because MuJoCo does not accept
+# them
 MOST_ASKED = 1e9
 
-LONGEST_PERIOD = 1.0  # s, longest sample period of a controller
-MOST_DELAY = 50  # sample periods; each one adds states to the sampled loop
+LONGEST_PERIOD = 1.0  # longest sample period of a controller [s]
+MOST_DELAY = 50  # largest delay [sample periods]; each period adds states to the sampled loop
 NO_PERIOD = (
     "has sampled = true, but [implementation] gives no sample period; give it in seconds, as in sample_period = 0.01, or omit "
     "sampled"
@@ -116,7 +117,7 @@ class Limits(LimitsSection):
 
     @property
     def limits_commands(self) -> bool:
-        """True if commands are limited before the lag. A rate limit always implies this."""
+        """True if commands are limited before the actuator lag, as always with a rate limit."""
         return self.actuator_force is not None and (self.limit == "command" or self.force_rate is not None)
 
     @property
@@ -132,7 +133,7 @@ class Limits(LimitsSection):
         return replace(self, actuator_force=None, actuator_bandwidth=None, force_rate=None, limit=None)
 
     def without(self, part: str) -> "Limits":
-        """Returns the limits without a part; see `Vehicle.without`."""
+        """Returns the limits without one part; see `Vehicle.without`."""
         if part == "limits":
             return Limits(actuator_bandwidth=self.actuator_bandwidth)
         return replace(self, actuator_bandwidth=None) if part == "lag" else self
@@ -179,7 +180,7 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CommandLimiter:
-    """Limiter of the commands of force actuators with a rate limit, for N runs. It does not change other runs.
+    """Limiter of the commands of force actuators with a rate limit, for N runs. Runs without a rate limit are not changed.
 
     Attributes:
         largest: largest command [N], shape (N, 1); infinity without a limit.
@@ -271,11 +272,14 @@ class Implementation(Section):
 
     @property
     def without_noise(self) -> "Implementation":
-        """The implementation without noise and quantisation. It is linear, so it has a frequency response."""
+        """The implementation without noise and quantisation.
+
+        Without them, the implementation is linear, and so has a frequency response.
+        """
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """Returns the implementation after all signals are multiplied by a factor, as are noise and resolution."""
+        """Returns the implementation for signals, noise and resolution that are all multiplied by a factor."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 

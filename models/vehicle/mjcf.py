@@ -1,8 +1,8 @@
-"""MuJoCo model of a vehicle, built by MjSpec from the MJCF of its type; also a test whether the model is linear.
+"""MuJoCo model of a vehicle, built by MjSpec from the MJCF of its type; and a test of whether the model is linear.
 
 A quarter-car moves only vertically, so it is linear for motions of any size within its limits. A body that pitches or rolls is
-nonlinear, and so is a spring that does not act along a joint. The test uses the compiled model, so it works for any vehicle
-type.
+nonlinear, and so is a spring that does not act along a joint. The test of linearity uses the compiled model, so it works for
+any vehicle type.
 """
 
 import contextlib
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 GIVE = "give the MuJoCo model of the vehicle type"
-# Prefix of actuators that a vehicle file adds to the model; they follow the actuators of the MJCF, which are the inputs
+# Prefix of actuators that a vehicle file adds to the model. These actuators come after the actuators of the MJCF, which are the
+# inputs
 FITTED_PREFIX = "fitted_"
 SAME = 1e-9  # relative rounding error of a parameter that the code of a vehicle type has written
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors that MuJoCo raises for an invalid model
@@ -42,7 +43,9 @@ _quiet_lock, _quiet_users = threading.Lock(), [0]
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT. Other checks detect and report the same problems.
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT.
+
+    The file is not needed, because other checks detect and report the same problems.
 
     All threads share one warning handler.
     """
@@ -104,7 +107,8 @@ def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
     return spec
 
 
-_read_shipped = functools.lru_cache(maxsize=16)(_read)  # files of built-in vehicle types do not change
+# a cache is possible because files of built-in vehicle types do not change
+_read_shipped = functools.lru_cache(maxsize=16)(_read)
 
 
 def _compile_model(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -136,10 +140,10 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             actuator.forcelimited = True
             command, force = limits.largest
             actuator.forcerange = [-force, force]
-            actuator.ctrlrange = [-command, command]  # above 1e10, MuJoCo would replace the force by 0
+            actuator.ctrlrange = [-command, command]  # MuJoCo would replace forces above 1e10 N by 0
         if limits.actuator_bandwidth is not None:
-            # RK4 integrates this filter together with the other states. `filterexact` alone would be exact, but RK4's
-            # intermediate stages would receive its output half a step late.
+            # RK4 integrates the `filter` together with the other states. The alternative `filterexact` would be exact by
+            # itself, but RK4's intermediate stages would receive its output half a step late.
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
             actuator.dynprm[0] = 1 / limits.actuator_bandwidth
 
@@ -200,7 +204,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     Args:
         vehicle: the vehicle.
         timestep: integration step [s].
-        drawn: False to omit visual parts. A step then gives the same numbers, but takes about 5 % less time.
+        drawn: False to omit visual parts. Without them, a step gives the same numbers, but takes about 5 % less time.
 
     Raises:
         InputError: any error of `build_spec`; or the model does not match the equations of motion.
@@ -270,7 +274,10 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model whose tyres cannot be fully compressed. A road above the hub would make the tyre longer again."""
+    """Refuses a model whose tyres cannot be fully compressed.
+
+    If the road rose above the hub, MuJoCo would compute a longer tyre again.
+    """
     kind, data = vehicle.kind, mujoco.MjData(model)
 
     def read(tyre: str) -> float:
@@ -297,7 +304,7 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
     """Returns the MJCF of the model that `build_model` compiles, with exact numbers, for the logs."""
     spec = build_spec(vehicle, timestep)
-    spec.compiler.savecompiled = False  # compiled values would be rounded to six digits
+    spec.compiler.savecompiled = False  # MuJoCo would round compiled values to six digits
     return spec.to_xml()
 
 
@@ -310,7 +317,7 @@ def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], li
     """Returns the wheels whose tyres have damping, and their actuators. The road velocity controls these actuators.
 
     Returns:
-        Numbers of the wheels, and number of the actuator of each.
+        Numbers of these wheels, and the number of each wheel's actuator.
     """
     if not vehicle.linear_model.tyres_damp:
         return [], []
@@ -325,8 +332,10 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
-LARGEST_MOVE = 1e-2  # m, rad; below the hub height. This angle changes the cosine by 5e-5
-CHANGE = 1e-9  # relative to the largest entry of a matrix or to the sensor value; the relative rounding error is 1e-15
+# Amplitude of the test motion [m, rad], which is below the hub height. As an angle, it changes the cosine by 5e-5
+LARGEST_MOVE = 1e-2
+# Smallest change that counts, relative to the largest entry of a matrix or to the sensor value; the rounding error is 1e-15
+CHANGE = 1e-9
 TRIALS = 3
 
 
@@ -361,8 +370,8 @@ def has_geometry(vehicle: Vehicle) -> bool:
 def _reads_geometry(vehicle: Vehicle, model: mujoco.MjModel) -> bool:
     """Returns True if a sensor of an output signal does not measure a sum of positions, velocities and accelerations.
 
-    For such a sensor, half of a motion does not give half of the measurement. The test prescribes the motion and ignores the
-    forces that it would need.
+    For such a sensor, half of a motion does not give half of the measurement. The test prescribes the motion, and ignores the
+    forces that would be needed for it.
     """
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
     outputs, combined = vehicle.sensed_signals, vehicle.kind.combined

@@ -1,6 +1,6 @@
 """Names of controllers, roads and loads in vehicle files and commands, as in `bump + brake:g=0.5`.
 
-Help pages use this module. It therefore imports nothing that builds roads.
+The module does not import the code that builds roads, because help pages use it and must be fast.
 """
 
 import re
@@ -13,7 +13,7 @@ from models.common.errors import InputError, short_repr
 WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that a run can omit
 PASSIVE = "passive"  # name of the controller without force, which every vehicle has
 COPY = "_printed"  # suffix of a controller that repeats another controller with the published gain of a paper
-LONGEST_NAME = 60  # bytes; file names can contain the names of three controllers
+LONGEST_NAME = 60  # largest length of a name [bytes]; file names can contain the names of three controllers
 
 
 def check_name(where: str, name: str, taken: Collection[str]) -> None:
@@ -32,14 +32,14 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
 
 
 def _is_name(name: str) -> bool:
-    """Returns True if a name has only allowed characters. Vowel signs, as in Hindi and Thai, count as marks on letters."""
+    """Returns True if a name has only allowed characters. Vowel signs, as in Hindi and Thai, count as parts of letters."""
     kinds = ["L" if letter.isalnum() else "-" if letter in "_-" else unicodedata.category(letter) for letter in name]
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
 
 ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat", "sine", "rig")
 CLASSES = "ABCDEFGH"  # road classes of ISO 8608
-BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: bump (62) of the paper
+BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # height [m], length [m] and speed [m/s] of the paper's bump (62)
 ROAD_SYNTAX = (
     f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2, or a file (.csv, "
     ".txt, .xlsx, .mat, .erd, .rdf or .crg), such as road.csv:height_unit=mm, or the drive file of a rig, such as "
@@ -62,7 +62,7 @@ def named_file(text: str) -> tuple[str, str] | None:
 
 
 LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
-PLUS = " + "  # separates the loads in a description
+PLUS = " + "  # separator of the loads in a description
 LOAD_SYNTAX = (
     f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
     "payload:mass=100:x=-1.2, or a .csv file"
@@ -71,7 +71,7 @@ LOAD_SEPARATOR = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
 FILE_SEPARATOR = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
 PART_SEPARATOR = re.compile(
     rf"{LOAD_SEPARATOR}|{FILE_SEPARATOR}", re.IGNORECASE
-)  # between a road and its loads, and between two loads
+)  # separator between a road and its loads, and between two loads
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
@@ -94,17 +94,20 @@ def is_load_file(text: str) -> bool:
 
 
 def run_without(names: Iterable[str], part: str) -> list[str]:
-    """Returns the controllers whose runs change if a part is omitted. The passive vehicle changes only without limits."""
+    """Returns the controllers whose runs change if a part is omitted.
+
+    The run of the passive vehicle changes only if the omitted part is `limits`.
+    """
     return [name for name in names if name != PASSIVE or part == "limits"]
 
 
 def variant(part: str) -> str:
-    """Returns the suffix, in tables, for a controller's run without a part; empty for the implemented loop."""
+    """Returns the suffix that marks a controller's run without a part in tables; empty for the implemented loop."""
     return f", no {part}" if part else ""
 
 
 def logged_variant(part: str) -> str:
-    """Returns the suffix, in logs, for a controller's run without a part; empty for the implemented loop."""
+    """Returns the suffix that marks a controller's run without a part in logs; empty for the implemented loop."""
     return f"-no_{part}" if part else ""
 
 
@@ -115,6 +118,6 @@ def logged_part(name: str, controller: str) -> str:
 
 
 def without_copies(names: Iterable[str]) -> list[str]:
-    """Returns the names of controllers without copies that have a published gain, such as `I_printed` for `I`."""
+    """Returns the names of controllers, but omits copies with a published gain, such as `I_printed` of `I`."""
     every = list(names)
     return [name for name in every if name.removesuffix(COPY) not in every or not name.endswith(COPY)]

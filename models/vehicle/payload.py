@@ -1,14 +1,14 @@
 """`[payload]` of a vehicle file: point masses on the body, including their inertia.
 
 The body has the mass M and the moments of inertia I_pitch and I_roll about its centre of mass. A point mass m at (x, z)
-relative to this centre (ISO 8855: x forward, z up) changes them to
+relative to this centre (ISO 8855: x forward, z up) changes these moments of inertia to
 
     M' = M + m,    I_pitch' = I_pitch + mu (x^2 + z^2),    I_roll' = I_roll + mu z^2,    mu = M m / (M + m),
 
-where I_pitch' and I_roll' are about the common centre of mass, which lies at m / (M + m) (x, z). Because the springs are
-linear, the laden car has the same equations of motion with these parameters. The equations describe its motion about the laden
-equilibrium, in which the weight of the payload compresses the suspensions. A motion ratio that depends on travel is shifted to
-the laden equilibrium.
+where I_pitch' and I_roll' are about the common centre of mass of body and payload, which is at m / (M + m) (x, z). Because the
+springs are linear, the laden car has the same equations of motion with these parameters. The equations describe the motion of
+the laden car about its equilibrium, in which the weight of the payload compresses the suspensions. A motion ratio that depends
+on travel is shifted to the laden equilibrium.
 """
 
 import math
@@ -53,8 +53,8 @@ def apply_payload(
     """Reads `[payload]` and returns parameters, limits and type of the vehicle with the point masses.
 
     The section describes one point mass, or contains a section for each of several point masses. The payload changes mass,
-    inertia and centre of mass of the body. It also compresses the springs, which shortens the bump strokes and lengthens the
-    rebound strokes.
+    inertia and centre of mass of the body. The payload also compresses the springs, which shortens the bump strokes and
+    lengthens the rebound strokes.
 
     Args:
         section: the section `[payload]`.

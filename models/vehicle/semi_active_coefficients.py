@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:
-    """Returns the coefficients of N semi-active laws with one name, for N vehicles of one type.
+    """Returns the coefficients of N semi-active laws with the same name, for N vehicles of one type.
 
     By default, a damper between body and sky, or between wheel and ground, has the coefficient c_max at the wheel. By default,
-    a damper of a body mode has the coefficient of the sky damper.
+    the damper between a body mode and the sky has the coefficient of the sky damper.
     """
     dampers = [[damper.damper for damper in vehicle.parts.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
@@ -32,7 +32,8 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
         return numbers
 
     squares = np.array([[damper.ratio for damper in vehicle.parts.adjustable] for vehicle in vehicles]) ** 2
-    sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)  # at the body and at the wheel
+    # Coefficients of the dampers at the body and at the wheel
+    sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)
     moved = np.stack([_modes(law, vehicle) for law, vehicle in zip(laws, vehicles, strict=True)], axis=1)
     damped = moved.copy()
     for b, key in enumerate(key for key, mode in MODAL.items() if mode in laws[0].modes):

@@ -12,15 +12,15 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 
 AXLES = ("_front", "_rear")
-PAIRS = (*AXLES, "_left", "_right")  # suffixes of parameters that share a row
-FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # the symbol at the beginning of a parameter's meaning, if present
+PAIRS = (*AXLES, "_left", "_right")  # suffixes of parameters that are in the same row
+FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # pattern of the symbol at the beginning of a parameter's meaning
 
 
 def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     """Returns the sketch of a vehicle of any type, seen from the side and, if it has two tracks, from behind.
 
-    A vehicle with all wheels in one cross-section is drawn only from behind. Some vehicle types do not use the usual names of
-    parameters. They are drawn from their wheels and suspensions, with the symbols k, c and m.
+    A vehicle with all wheels in one cross-section is drawn only from behind. If a vehicle type does not use the usual names of
+    parameters, the sketch shows its wheels and suspensions with the symbols k, c and m.
 
     Args:
         vehicle: the vehicle.
@@ -65,7 +65,8 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
     """Returns a wheel and its suspension, and assigns symbols to parameters without a symbol."""
     kind, ending = vehicle.kind, wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
     one = next((one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection), None)
-    stands = one is not None and one.deflection == wheel.tyre_deflection  # the suspension element itself touches the road
+    # There is no wheel, and the suspension element itself touches the road
+    stands = one is not None and one.deflection == wheel.tyre_deflection
 
     def symbol(letter: str, *names: str, ending: str = ending) -> str:
         parameter = next(filter(None, (kind.of_corner(name, ending) for name in names)), "")
@@ -100,7 +101,7 @@ def _box(how: Implementation) -> tuple[str, ...]:
 
 
 def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yields a row for each parameter. Parameters of both axles or both sides share a row."""
+    """Yields a row for each parameter. The same parameter of both axles or both sides has one row."""
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:

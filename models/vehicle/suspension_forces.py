@@ -1,4 +1,4 @@
-"""Nonlinear suspension forces for simultaneous runs: the sum of the forces of all parts. Also motion ratios of inputs."""
+"""Nonlinear suspension forces for simultaneous runs (sums of the forces of all parts), and motion ratios of inputs."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 class SuspensionForces:
     """Suspension forces of N vehicles of one type, in addition to the forces in their linear models.
 
-    The forces act between body and wheel and are positive if they pull both together. The linear model contains the linearised
-    force of each part, and the force of each actuator at its motion ratio in equilibrium.
+    The forces act between body and wheel, and are positive if they pull body and wheel together. The linear model contains the
+    linearised force of each part, and the force of each actuator at its motion ratio in equilibrium.
 
     Attributes:
         acts: True for each suspension that has a force in addition to the linear model, shape (s,).
-        states: number of the parts' own states, k, in the order of `VehicleKind.of_parts`.
+        states: number k of the parts' own states, whose order is that of `VehicleKind.of_parts`.
         moves: True if the rate of an own state differs from its rate in the linear model.
         inertial: True if a part has an inertance in addition to the linear model.
     """
@@ -35,8 +35,8 @@ class SuspensionForces:
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
             whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain these forces, but the
-                equations of motion of the vehicle types do not. The rates of own states are then complete; otherwise they are
-                relative to the linear model.
+                equations of motion of the vehicle types do not. The rates of own states are then complete. Otherwise, they are
+                deviations from the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -94,7 +94,7 @@ class SuspensionForces:
         return total
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the rates of the parts' own states, shape (..., N, k). Arguments are those of `__call__`."""
+        """Returns the rates of the parts' own states, shape (..., N, k). For the arguments, see `__call__`."""
         rates = np.zeros(z.shape)
         for _, kept, parts, at in self._at(d, v, inputs, z) if self.states else ():
             if len(kept):
@@ -163,7 +163,7 @@ class MotionRatios:
     def travel(self, force: str, deflection: Array) -> Array:
         """Returns the travel of an actuator from equilibrium [m], the integral of its motion ratio.
 
-        Arguments are those of `of`.
+        For the arguments, see `of`.
         """
         travels = self._at_rest[force] * deflection
         for table, runs, factor in self._tables.get(force, ()):

@@ -63,7 +63,7 @@ def kinds(folder: Path = HERE) -> list[str]:
 
 
 def shipped_vehicles() -> list[str]:
-    """Returns the names of the built-in vehicles, sorted: at least one of each built-in vehicle type."""
+    """Returns the sorted names of the built-in vehicles. There is at least one vehicle of each built-in type."""
     return sorted(path.stem for path in HERE.glob("*.toml"))
 
 
@@ -109,7 +109,7 @@ def in_plane(name: str, plane: str) -> str:
 
 @dataclass(frozen=True)
 class VehicleFile(Section):
-    """The sections of a vehicle file. A separate reader reads each section."""
+    """The sections of a vehicle file as raw tables. A separate reader reads each section."""
 
     type: Annotated[str, Text('vehicle type, above the first section: `type = "quarter_car"`', ', as in type = "quarter_car"')]
     parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
@@ -130,7 +130,7 @@ class VehicleFile(Section):
 
 
 SECTIONS = tuple(keys(VehicleFile))
-LIFTED, FASTEST = "height", 1e3  # key of the drop height in `[start]`; largest value allowed there [SI]
+LIFTED, FASTEST = "height", 1e3  # key of the drop height in `[start]`; largest value that is allowed in this section [SI]
 PERSON = (
     " is the acceleration of a mass above the body, so its ride is evaluated like the ride of a person; list the points with "
     "a person under people in KIND of"
@@ -211,9 +211,9 @@ class Vehicle(ShownResult):
         """Returns the vehicle with another initial state of its runs, for drop and release tests.
 
         Args:
-            start: initial states [SI], or texts with a unit, such as "20 mm". Names are the states of the linear model, such as
-                `suspension_deflection`, and `height`, by which the whole vehicle is lifted above the road. All other states
-                start in equilibrium. Without arguments, the whole vehicle starts in equilibrium.
+            start: initial states [SI], or texts with a unit, such as "20 mm". The names are states of the linear model, such as
+                `suspension_deflection`, or `height`, the height by which the whole vehicle is lifted above the road. All other
+                states start in equilibrium. Without arguments, the whole vehicle starts in equilibrium.
 
         Returns:
             A copy of the vehicle with this initial state.
@@ -243,13 +243,13 @@ class Vehicle(ShownResult):
         return lifted + [self.start.get(name, 0.0) for name in model.states]
 
     def with_parameters(self, **parameters: float | str) -> "Vehicle":
-        """Returns the vehicle with other values of some parameters. Its controllers do not change.
+        """Returns the vehicle with other values of some parameters. The controllers of the vehicle do not change.
 
         Args:
-            parameters: values [SI], or texts with a unit, such as "450 kg". The method warns of improbable values.
+            parameters: values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
 
         Returns:
-            A copy of the vehicle with these parameters.
+            A copy of the vehicle with the new parameters.
 
         Raises:
             InputError: a parameter is unknown or not allowed, or the combination of parameters is not a valid vehicle.
@@ -287,7 +287,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def parts(self) -> Parts:
-        """Suspension forces, as seen at the wheels, in addition to those of linear springs and dampers."""
+        """Suspension forces at the wheels, in addition to the forces of linear springs and dampers."""
         if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
             return Parts()
 
@@ -300,7 +300,7 @@ class Vehicle(ShownResult):
 
     @property
     def linearised(self) -> "Vehicle":
-        """The vehicle of linear analysis: a straight line, its tangent at equilibrium, replaces each characteristic."""
+        """The vehicle for linear analysis, in which each characteristic is replaced by its tangent at equilibrium."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
         straight = {name: replace(table, straight=True) for name, table in self.kind.ratios.items()}
         kind = replace(self.kind, ratios=straight) if straight else self.kind
@@ -309,7 +309,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def linear_model(self) -> LinearModel:
-        """Linear model for these parameters, with the linearised forces of all parts."""
+        """Linear model of the vehicle, with the linearised forces of all parts."""
         return self._with_lines(self.kind.model(self.parameters))
 
     def _with_lines(self, model: LinearModel) -> LinearModel:
@@ -339,8 +339,8 @@ class Vehicle(ShownResult):
             deflections: names of the deflection signals of e suspensions.
 
         Returns:
-            Effects per unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). An
-            inertial part takes over a share of each force.
+            Effects per unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). If a
+            part has an inertance, a share of each force accelerates this inertance.
         """
         from models.kinds.at_wheels import force_effects
 
@@ -353,7 +353,7 @@ class Vehicle(ShownResult):
 
     @property
     def sensed_signals(self) -> tuple[str, ...]:
-        """Output signals of the linear model that have a MuJoCo sensor, that is, all but the own states of parts."""
+        """Output signals of the linear model that have a MuJoCo sensor: all signals except the own states of parts."""
         outputs = self.linear_model.outputs
         return outputs[: len(outputs) - len(self.kind.of_parts)]
 
@@ -369,7 +369,7 @@ class Vehicle(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Overview: vehicle type and file, then parameters, weights and controllers."""
+        """Overview: a text with the vehicle type and file, then parameters, weights and controllers."""
         from models.kinds.at_wheels import ratio_notes
 
         units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
@@ -385,7 +385,7 @@ class Vehicle(ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """Figure of the gain from the road velocity to the weighted signals, without control."""
+        """Figure of the gain from the road velocity to the weighted signals, for the vehicle without control."""
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
@@ -436,7 +436,7 @@ class Vehicle(ShownResult):
         return self.with_force_actuators if pushing else self
 
     def without(self, part: str) -> "Vehicle":
-        """Returns the vehicle without a part of its limits or implementation; the same vehicle if it does not have this part.
+        """Returns the vehicle without one part of its limits or implementation; the same vehicle if it does not have this part.
 
         Args:
             part: the omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits` (largest
@@ -484,7 +484,7 @@ class Vehicle(ShownResult):
 
     @property
     def without_integrals(self) -> "Vehicle":
-        """The vehicle without integrators in z. A filter with a pole at 0 keeps only its other poles."""
+        """The vehicle without integrators in z. The pole at 0 of a filter is removed; its other poles remain."""
         if not self.integrals:
             return self
         rest = {name: one.without_integral for name, one in self.filters.items()}
@@ -557,7 +557,9 @@ class Vehicle(ShownResult):
         return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
 
     def text_for(self, path: Path) -> str:
-        """Returns the text of a vehicle file at a path that describes this vehicle. Paths of Python laws are relative to it.
+        """Returns the text of a vehicle file at a path that describes this vehicle.
+
+        Paths of Python laws in the text are relative to the folder of this file.
 
         Raises:
             InputError: a vehicle file at this path could not be read, because a law or the vehicle type is in another folder.
@@ -618,18 +620,18 @@ class Vehicle(ShownResult):
 
     @property
     def linear_names(self) -> tuple[str, ...]:
-        """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
+        """Names of the controllers to which linear analysis applies: all except Python laws and semi-active laws."""
         return (*RESERVED_NAMES, *(name for name, entry in self.controllers.items() if entry.linear))
 
     def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
         """Returns the controller with a name, including `passive` and `state`.
 
-        Arguments and errors are those of `LawSource.driver`.
+        For arguments and errors, see `LawSource.driver`.
         """
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 
     def located(self, error: InputError) -> InputError:
-        """Returns the error with the name of the vehicle file in front."""
+        """Returns the error with the name of the vehicle file before its message."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
     def check_entry(self, entry: ControllerEntry) -> None:
@@ -645,7 +647,7 @@ class Vehicle(ShownResult):
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
-        """Returns sensor noise, actuator lag and loads for the design of a controller; no such conditions for built-in ones."""
+        """Returns sensor noise, actuator lag and loads for the design of a controller; none of these for built-in controllers."""
         return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
@@ -712,8 +714,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     """Returns a vehicle from the text of a vehicle file.
 
     Args:
-        text, source: text of a vehicle file in TOML, and the path of this file for messages.
-        folder: folder with custom vehicle types and Python laws; None to allow only built-in types, and no Python law to run.
+        text, source: the text of a vehicle file in TOML, and the path of this file for messages.
+        folder: folder with custom vehicle types and Python laws; None allows only built-in types, and Python laws cannot run.
 
     Returns:
         The vehicle, with its parameters in SI units.

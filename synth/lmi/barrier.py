@@ -21,12 +21,15 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 
-Block = tuple[Array, Array]  # matrix F0 + sum_i p_i F_i that must stay positive definite: F0 of shape (k, k), F (N, k, k)
+# Pair (F0, F) of shapes (k, k) and (N, k, k), whose matrix F0 + sum_i p_i F_i must stay positive definite
+Block = tuple[Array, Array]
 
 QUADRATIC = 0.25  # Newton decrement below which full steps converge quadratically (Boyd, Vandenberghe, section 9.6.4)
 STEPS = 200  # largest number of Newton steps
-TOGETHER = 24  # total number of rows up to which all blocks are joined, which saves calls; above, only blocks of one row are
-PANEL = 64  # number of columns in a panel of the QR decomposition
+# Total number of rows up to which all blocks are joined, which saves calls; if there are more rows, only blocks with one row
+# are joined
+TOGETHER = 24
+PANEL = 64  # number of columns that the QR decomposition processes together
 
 
 class Barrier:
@@ -56,7 +59,7 @@ class Barrier:
         """Returns the derivatives at the point p; None if p is not feasible.
 
         Raises:
-            LinAlgError: some change of the unknowns changes no constraint, up to rounding.
+            LinAlgError: the constraints do not change, up to rounding, for some change of the unknowns.
         """
         W, rows, trace = [], [], 0.0
         for F0, F, flat, upper, diagonal, weights in self.blocks:
@@ -105,8 +108,8 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
     """Returns indices into a flat symmetric matrix with blocks of the given sizes, and weights.
 
     Returns:
-        Indices of the upper triangles of the blocks, indices of the diagonal, and weights of the upper triangles. With these
-        weights, a triangle has the norm of its symmetric matrix.
+        Indices of the entries in the upper triangles of the blocks, indices of the diagonal entries, and weights of the upper
+        triangles. With these weights, the norm of a triangle equals the norm of its symmetric matrix.
     """
     of = np.repeat(np.arange(len(sizes)), sizes)
     rows, columns = np.nonzero(np.triu(of[:, None] == of))
@@ -115,7 +118,7 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class FactoredDerivatives(ABC):
-    """First and second derivatives of sum log det at a point. The Hessian is given as S^-1 R' R S^-1.
+    """First and second derivatives of sum log det at a point. The Hessian is given in the form S^-1 R' R S^-1.
 
     Attributes:
         trace: gradient, shape (N,).
@@ -128,16 +131,16 @@ class FactoredDerivatives(ABC):
     triangle: Array
 
     def half(self, c: Array) -> Array:
-        """Returns R^-T S c. The length of this vector is the length of c in the metric of the inverse Hessian."""
+        """Returns R^-T S c. The norm of this vector is the norm of c in the metric of the inverse Hessian."""
         return _triangular(self.triangle, c * self.scale, transposed=True)
 
     def solve(self, half: Array) -> Array:
-        """Returns S R^-1 half. For half = `half(c)`, this is the inverse Hessian times c."""
+        """Returns S R^-1 half. If half = `half(c)`, the result is the inverse Hessian times c."""
         return self.scale * _triangular(self.triangle, half, transposed=False)
 
     @abstractmethod
     def rates(self, step: Array) -> Array:
-        """Returns the eigenvalues r for which log det changes by sum log(1 + t r) from p to p + t step."""
+        """Returns the eigenvalues r of the step: from p to p + t step, log det changes by the sum of log(1 + t r)."""
 
     def lowest(self, slope: float, step: Array) -> float:
         """Returns the step length t that minimises slope t minus sum log det along the step."""
@@ -145,7 +148,10 @@ class FactoredDerivatives(ABC):
 
 
 def _triangular(R: Array, x: Array, transposed: bool) -> Array:
-    """Returns R^-1 x or R^-T x for an upper triangular R. LAPACK treats an R in C order as a transposed lower triangle."""
+    """Returns R^-1 x or R^-T x for an upper triangular matrix R.
+
+    If R is in C order, LAPACK treats it as a transposed lower triangle.
+    """
     if R.flags.f_contiguous:
         return lapack.dtrtrs(R, x, trans=int(transposed))[0]
     return lapack.dtrtrs(R.T, x, lower=1, trans=int(not transposed))[0]
@@ -157,8 +163,8 @@ class Local(FactoredDerivatives):
 
     Attributes:
         W: L^-1 F_i L^-T of every block with k rows, shapes (N, k k).
-        numbers: the same for the k blocks of one row that are not joined with other blocks, shape (N, k); None if there are
-            none.
+        numbers: L^-1 F_i L^-T of the k blocks with one row that are not joined with other blocks, shape (N, k); None if there
+            are no such blocks.
     """
 
     W: list[Array]
@@ -203,13 +209,14 @@ class WithLogTerm:
 
 @dataclass(frozen=True, eq=False)
 class RaisedLocal(FactoredDerivatives):
-    """Derivatives of a `WithLogTerm` barrier at a point. `triangle` is that of the barrier without the logarithm.
+    """Derivatives of a `WithLogTerm` barrier at a point. The attribute `triangle` belongs to the barrier without the logarithm.
 
     Attributes:
         alone: derivatives of the barrier without the logarithm.
         weight: weight of the logarithm.
         slope: 1 / p_N.
-        ratio: last diagonal entry of R without the logarithm, divided by the same entry with the logarithm.
+        ratio: last diagonal entry of R for the barrier without the logarithm, divided by the same entry for the barrier with
+            the logarithm.
     """
 
     alone: FactoredDerivatives
@@ -226,11 +233,11 @@ class RaisedLocal(FactoredDerivatives):
         return self.alone.solve(self._scaled(half.copy()))
 
     def rates(self, step: Array) -> Array:
-        """Returns `FactoredDerivatives.rates`; the last entry is the rate of the logarithm."""
+        """Returns `FactoredDerivatives.rates`, followed by the rate of the logarithm."""
         return np.append(self.alone.rates(step), self.slope * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
-        """Returns `FactoredDerivatives.lowest` with the weight of the logarithm."""
+        """Returns the same as `FactoredDerivatives.lowest`, but includes the weight of the logarithm."""
         rates = self.rates(step)
         weights = np.ones(len(rates))
         weights[-1] = self.weight
@@ -246,7 +253,7 @@ def _eigenvalues(flat: Array) -> Array:
     return lapack.dsyevd(flat.reshape(size, size), compute_v=0)[0]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a step to infinity has no Cholesky factor, so the step is halved
+@np.errstate(over="ignore", invalid="ignore")  # after a step to infinity, there is no Cholesky factor, so the step is halved
 def newton(
     barrier: Derivatives,
     p: Array,
@@ -257,19 +264,19 @@ def newton(
 ) -> tuple[Array, float, FactoredDerivatives]:
     """Minimises c' p plus the barrier, starting at a feasible p, by Newton's method.
 
-    The iteration stops if the Newton decrement is below the tolerance, or if rounding prevents further progress.
+    The iteration stops when the Newton decrement is below the tolerance, or when rounding prevents further progress.
 
     Args:
         barrier: barrier with derivatives.
         p: feasible starting point, shape (N,).
         c: linear cost, shape (N,).
         tolerance: Newton decrement below which the iteration stops.
-        leave: function that returns True if a point needs other coordinates. The iteration then stops.
+        leave: function that returns True if a point needs other coordinates, so that the iteration must stop.
         here: derivatives of the barrier at the starting point, if they are known.
 
     Returns:
-        The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement. The
-        decrement is infinite if rounding prevents its computation.
+        The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement, which is
+        infinite if rounding prevents its computation.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"
@@ -285,7 +292,7 @@ def newton(
         step = -here.solve(half)
         length = 1.0 if decrement < QUADRATIC else here.lowest(float(c @ step), step)
         moved = barrier.at(p + length * step)
-        while moved is None and length > 1e-10:  # the step ends closer to the boundary than rounding allows
+        while moved is None and length > 1e-10:  # the step ends too close to the boundary for the rounding errors
             length /= 2
             moved = barrier.at(p + length * step)
         if moved is None:
@@ -309,7 +316,8 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
         else:
             high = t
         curvature = float(weighted @ terms)
-        if curvature == 0 or abs(rise) <= 0.1 * curvature * t:  # an accuracy of 10 % suffices: more would save no Newton step
+        # An accuracy of 10 % is sufficient; a higher accuracy would not save any Newton step
+        if curvature == 0 or abs(rise) <= 0.1 * curvature * t:
             break
         t = t - rise / curvature
         if not low < t < high:
@@ -318,33 +326,35 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
 
 
 def boundary(here: FactoredDerivatives, step: Array) -> float:
-    """Returns the largest t for which p + t step is feasible. At this t, a block becomes singular."""
+    """Returns the largest t for which p + t step is feasible. For this t, a block of the barrier becomes singular."""
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf
 
 
-FASTER = 8.0  # factor on the weight of the last unknown from one point of the path to the next
+FASTER = 8.0  # factor by which the weight of the last unknown increases from one point of the path to the next
 CENTRES = 24  # largest number of points on the path
-CENTRE_DECREMENT = 0.1  # Newton decrement at which a point counts as on the path
+CENTRE_DECREMENT = 0.1  # Newton decrement below which a point counts as a point of the path
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step
-SURE = 1.1  # safety factor on the distance between the smallest value and that of a point on the path
+SURE = 1.1  # safety factor on the distance between the last unknown at a point of the path and its smallest possible value
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:
     """Minimises the last unknown along the central path.
 
-    The path ends if the last unknown is below `enough`, or if its smallest value is certainly above `enough`.
+    The path ends when the last unknown is below `enough`, or when the smallest possible value of this unknown is certainly
+    above `enough`.
 
     Args:
         barrier: barrier with derivatives.
         p: feasible point whose last unknown is above `enough`.
         rows: total number of rows of all blocks of the barrier.
         enough: value of the last unknown below which the path ends.
-        close: distance from the smallest value at which the path ends if the smallest value is certainly above `enough`.
+        close: distance from the smallest possible value of the last unknown at which the path ends, if this smallest value is
+            certainly above `enough`.
 
     Returns:
-        The last point of the path.
+        The last point on the path.
 
     Raises:
         LinAlgError: the starting point is infeasible because of rounding.
@@ -359,8 +369,8 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
         gap = SURE * rows / weight
         if p[-1] < enough or (gap <= close and p[-1] - gap > enough):
             break
-        # A step along the tangent of the path that stays feasible. If rounding makes it infeasible near the boundary, it is
-        # halved.
+        # The step is along the tangent of the path, and so short that the point stays feasible. If rounding makes the point
+        # infeasible near the boundary, the step is halved.
         step = -(1 - 1 / FASTER) * weight * here.solve(here.half(along))
         length, start, here = min(1.0, WITHIN * boundary(here, step)), p, None
         while here is None and length > SHORTEST:

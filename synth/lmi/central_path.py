@@ -1,7 +1,8 @@
 """Central path of the design problem, followed to its limit, which is a unique optimal solution.
 
-The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). The value gamma is therefore unique, but the gain is
-not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The limit for mu -> 0 of
+The optimum of (22) or (25) is attained by all pairs (X, Y) on a face of the feasible set. The value gamma is therefore unique,
+but the gain is not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The design
+is therefore defined as the limit for mu -> 0 of
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
@@ -13,8 +14,8 @@ tangent in mu. Two changes of coordinates keep all numbers near 1. In the state 
 diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
 are changed again so that X = I and Y = 0, where the plant absorbs the current gain.
 
-For a discrete plant, log det of the larger matrix of `certificate.py` replaces the last two logarithms, because it contains
-both. As the sample period decreases, this path approaches that of the continuous plant.
+For a discrete plant, log det of the larger matrix in `certificate.py` replaces the last two logarithms, because this matrix
+contains both constraints. As the sample period decreases, this path approaches that of the continuous plant.
 """
 
 import contextlib
@@ -45,12 +46,13 @@ LIMIT = 1e-9
 """Value of mu / eta at which the path ends. For the paper's problem, the gains are then within 3e-6 of the limit."""
 
 
-CENTRE_DECREMENT = 1e-6  # Newton decrement at the points of the path; small enough for the dual solutions of lower bounds
+# Newton decrement at the points of the path; small enough for the dual solutions that prove lower bounds
+CENTRE_DECREMENT = 1e-6
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # values of mu / eta at which points are computed
-FIRST = 1.0  # mu / eta of the first point, far from the optimum
-FAR = 1e5  # condition number of X above which new coordinates are chosen; X = I directly after a change of coordinates
-MOST_MOVES = 12  # largest number of coordinate changes at one point; if X still grows, no point on the path exists
-DENSE = 200  # number of unknowns up to which a dense basis is faster, because it needs fewer calls
+FIRST = 1.0  # value of mu / eta at the first point, which is far from the optimum
+FAR = 1e5  # condition number of X above which new coordinates are chosen; directly after a change of coordinates, X = I
+MOST_MOVES = 12  # largest number of coordinate changes at one point; if X still grows after them, the path has no such point
+DENSE = 200  # number of unknowns up to which a dense basis is faster, because fewer calls are needed
 # Largest number of unknowns, for example 62 states with one input: a path takes half a minute. Time grows with the cube of this
 # number, and memory with its square.
 MOST = 2000
@@ -69,10 +71,11 @@ class CentralPoint:
 
     Attributes:
         X: matrix of (12), shape (n, n).
-        K: gain Y_R X_R^-1 of (13), shape (m, q). K acts on the q coordinates that R spans.
-        eta: gamma^-2 of the point. The optimal eta is higher by at most (2 n + d) mu.
+        K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
+        eta: value gamma^-2 of the point. The optimal eta is larger by at most (2 n + d) mu.
         mu: parameter of the path, divided by eta.
-        proof: an X that proves the bound, if `X` itself does not because of states that are unobservable in z; else None.
+        proof: an X that proves the bound, if `X` itself does not prove it because of states that are unobservable in z;
+            otherwise None.
     """
 
     public_name = "a point of a central path"
@@ -94,8 +97,8 @@ class CentralPoint:
         Args:
             states: present unit of each state, expressed in the new unit, shape (n,).
             inputs: present unit of each input, expressed in the new unit, shape (m,).
-            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). Alternatively a matrix S
-                of shape (q, q), if the new inputs of K are S times the present inputs.
+            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). The argument can also be
+                a matrix S of shape (q, q), if the new inputs of K are S times the present inputs.
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -115,7 +118,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
             from the optimum.
 
     Returns:
-        Points with eta > 0 in order of decreasing mu. Each mu is a tenth to a hundredth of the previous mu.
+        Points with eta > 0 in order of decreasing mu. Each mu is between a hundredth and a tenth of the previous mu.
 
     Raises:
         InputError: no disturbance acts on the plant, or no signal is weighted.
@@ -139,14 +142,14 @@ def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralP
 
 
 def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
-    """Yields the points for a plant in differences over a step [s]; a step of 0 means a continuous plant."""
+    """Yields the points for a discrete plant in differences over a step [s], or for a continuous plant if the step is 0."""
     check_posed(plant.unmeasured)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = None
     if hides_stable_states(plant, np.hstack([Q, R]), step):
         part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
-    if part is not None:  # X may grow without bound along these states, so the path is computed for the other states
+    if part is not None:  # along unobservable states, X may grow without bound, so the path is computed for the other states
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
         return
@@ -181,14 +184,14 @@ def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoin
 
 
 def unknowns(plant: Plant, free: int = 0) -> int:
-    """Returns the number of unknowns of (22), or of (25) if Q has `free` columns."""
+    """Returns the number of unknowns of (22) or, if Q has `free` columns, of (25)."""
     n, m = len(plant.A), plant.independent_inputs().shape[1]
     q = n - free
     return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
 
 
 def fits(count: int, most: int, what: str) -> None:
-    """Raises a TooLargeError if the number of unknowns exceeds the limit of the method `what`."""
+    """Raises a TooLargeError if the number of unknowns exceeds the limit of the method that is named by `what`."""
     if count > most:
         raise TooLargeError(
             f"the LMI problem has {count} unknowns, but {what} allows at most {most}; remove states from the model"
@@ -201,10 +204,11 @@ class _Path:
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
-        # Inputs without effect stay zero. Linearly dependent inputs share their effect.
+        # Inputs without effect stay zero, and linearly dependent inputs are combined.
         self.inputs = plant.independent_inputs()
         plant = plant.with_inputs(self.inputs).in_coordinates(T)
-        # For numerical accuracy only: states are scaled by their controllability, and units make A, B, Bw and C have size 1.
+        # This scaling only improves the numerical accuracy: states are scaled by their controllability, and units are chosen so
+        # that A, B, Bw and C have size 1.
         scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
         # If A = 0, the rate is chosen so that motion and force have equal weight in z.
@@ -218,10 +222,11 @@ class _Path:
         system[n:] *= self.output_unit
         system[:, n : n + m] *= self.input_unit
         system[:, n + m :] *= self.disturbance_unit
-        self.basis = Basis(system, n, m, self.free, self.step)  # basis of the unknowns for the plant in the current coordinates
-        self.start = T @ scaling  # from the initial coordinates of the path to the coordinates of the user
+        # Unknowns and their coefficients for the plant in the current coordinates
+        self.basis = Basis(system, n, m, self.free, self.step)
+        self.start = T @ scaling  # matrix from the initial coordinates of the path to the coordinates of the user
         self.block_start = scaling[self.free :, self.free :]
-        self.V = np.eye(len(T))  # from the current coordinates to the initial ones
+        self.V = np.eye(len(T))  # matrix from the current coordinates to the initial coordinates
         self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # gain that the plant has absorbed so far, in the initial coordinates
         self.eta = 0.0
 
@@ -233,9 +238,9 @@ class _Path:
     def find_feasible_point(self) -> None:
         """Finds a strictly feasible point.
 
-        Feasible points exist if and only if He(A X + B Y) < 0 has a solution with the structure (12). If such a pair is scaled
-        down enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A X + B Y) < s I, 0 < X
-        < I, |Y| < LARGEST_Y, until s < 0.
+        Feasible points exist if and only if He(A X + B Y) < 0, where He(M) = M + M', has a solution with the structure (12). If
+        such a pair is scaled down enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A
+        X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
 
         Raises:
             NoSolutionError: there is no feasible point, up to rounding.
@@ -253,7 +258,8 @@ class _Path:
                 break
             mu /= 10
             if mu < 1e-10:
-                # On the path, s exceeds its infimum by at most (number of rows) mu. The infimum is therefore 0 up to rounding.
+                # On the path, s exceeds its infimum by at most mu times the number of rows. The infimum is therefore 0 up to
+                # rounding.
                 raise NoSolutionError(
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
                     f"definite (its largest eigenvalue is at least {p[-1]:.0e}, in units of |A||X|)"
@@ -275,7 +281,7 @@ class _Path:
         """Scales a pair with He(A X + B Y) < 0 so that it satisfies (24).
 
         Returns:
-            X, Y and the largest eta that (24) allows with them.
+            The scaled X and Y, and the largest eta that (24) allows for them.
         """
         plant, n, k = self.plant, self.basis.n, len(self.basis.system)
 
@@ -299,8 +305,9 @@ class _Path:
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
         """Follows the path until mu = mu_end eta, and yields the points at `RESTS`.
 
-        At these points, mu / eta is fixed instead of mu: log(eta) eta / mu replaces eta / mu. The points are therefore
-        independent of units and of the first point. Some of them are designs, or define L (14).
+        At these points, mu / eta is fixed instead of mu. For this purpose, log(eta) eta / mu replaces eta / mu in the
+        objective. The points are therefore independent of units and of the first point. Some of these points are designs, or
+        define L (14).
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
@@ -322,7 +329,7 @@ class _Path:
             if rest <= mu_end:
                 return
             following = next_rest(rest, mu_end)
-            # Step along the tangent of the path in mu that stays feasible
+            # Step along the tangent of the path in mu, so short that the point stays feasible
             step = here.solve(here.half(direction(len(p), 1 / (rest * self.eta))))
             step = min(1 - following / rest, INSIDE * boundary(here, step)) * step
             moved = next(filter(None, (self._moved(p + part * step, following) for part in (1.0, 0.5, 0.1, 0.0))), None)
@@ -337,7 +344,7 @@ class _Path:
         return barrier, start, barrier.at(start)
 
     def _moved(self, p: Array, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives] | None:
-        """Changes to the coordinates of the point p, and returns `_entered`.
+        """Changes the coordinates to those of the point p, and returns the result of `_entered`.
 
         If rounding makes the point infeasible, returns None and leaves the coordinates unchanged.
         """
@@ -400,7 +407,7 @@ class _Path:
         a, n, m = self.free, self.basis.n, self.basis.m
         S = np.zeros_like(X)
         S[:a, :a], S[a:, a:] = np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:])
-        # `fed_back` preserves the digits of A + B G, even if the gain cancels most of A.
+        # The function `fed_back` preserves the digits of A + B G, even if the gain cancels most of A.
         system = self.basis.system.copy()
         system[:, :n] = fed_back(system[:, :n], system[:, n : n + m], Y @ np.linalg.inv(X))[0] @ S
         system[:n] = lapack.dtrtri(S, lower=1)[0] @ system[:n]  # pyright: ignore[reportAttributeAccessIssue]
@@ -410,14 +417,17 @@ class _Path:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns Y_R X_R^-1 plus the gain that the plant has absorbed so far, in the initial coordinates."""
+        """Returns the gain at the current point in the initial coordinates:
+
+        Y_R X_R^-1 plus the gain that the plant has absorbed so far.
+        """
         a = self.free
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
 def next_rest(mu: float, mu_end: float) -> float:
-    """Returns the next value of mu / eta on the path: a value of `RESTS`, or a value that leads to mu_end.
+    """Returns the next value of mu / eta on the path: the next value in `RESTS`, or a value on the way to mu_end.
 
-    `RESTS` are the same for every plant.
+    The values in `RESTS` are the same for every plant.
     """
     return min(max((rest for rest in RESTS if mu_end < rest < 0.5 * mu), default=mu_end), 0.5 * mu)

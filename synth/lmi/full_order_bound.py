@@ -3,7 +3,7 @@
     minimise t   over the plant's `SynthesisInequality` for (X, eta), that of the transposed plant for (S, t), and
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
-`synthesis_inequality.py` and `lower_bound.py` derive these LMIs and prove the bound. The path is followed as in
+The modules `synthesis_inequality.py` and `lower_bound.py` derive these LMIs and prove the bound. The path is followed as in
 `central_path.py`, in coordinates in which X = S = I. For state feedback, only the inequality of the plant is used.
 """
 
@@ -28,12 +28,14 @@ from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics, up_to_rounding
 from synth.plant.units import nearest_power, own_units, size
 
-STATE_END = 1e-5  # mu / eta at the end; the bound for state feedback is then within (2 n + d) mu / 2 of the best bound
+# Value of mu / eta at the end of the path; the bound for state feedback is then within (2 n + d) mu / 2 of the best bound
+STATE_END = 1e-5
 ENOUGH = 1e-8  # relative distance from the norm of state feedback below which a bound is not improved
-END = 1e-6  # mu / t at the end of the joint path; the bound is then within (2 n + d + n - q) mu / 2 of the best bound
-SHARP = 1e-3  # relative distance between a proved bound and the gamma of its point below which rounding cost no digits
-MOST = 1200  # unknowns of the joint path (33 states: minutes and 200 MB); larger plants get the bound for state feedback
-ENTER = 1e2  # mu / t at the start of the joint path
+END = 1e-6  # value of mu / t at the end of the joint path; the bound is then within (2 n + d + n - q) mu / 2 of the best bound
+SHARP = 1e-3  # relative distance between a proved bound and the gamma of its point, below which no digits were lost to rounding
+# Most unknowns of the joint path (33 states take minutes and 200 MB); for larger plants, the bound for state feedback is used
+MOST = 1200
+ENTER = 1e2  # value of mu / t at the start of the joint path
 
 
 @numerics()
@@ -49,16 +51,17 @@ def find_lower_bound(
     Args:
         plant: plant with n states and m inputs.
         Cy: matrix of the measurements, shape (q, n). The bound then holds for output feedback of any order from y = C_y x + Dyw
-            w. Default: the measurements of the plant. If the plant has no measurements, the bound is for state feedback. This
-            bound also holds for output feedback, whose own bound is never lower.
+            w. By default, these are the measurements of the plant. If the plant has no measurements, the bound is for state
+            feedback. The bound for state feedback also holds for output feedback, but the bound for output feedback may be
+            higher.
         path: central path of `state_feedback` for this plant, if it is known.
         beyond_control: bound of `bound_beyond_control`, if it is known.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
-        The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, but not on a mode that does not
-        decay, the LMIs have no strictly feasible point. Only zeros and the invariant point then bound the norm, and `reason`
-        describes the mode.
+        The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, and there is a non-decaying mode on
+        which w does not act, the LMIs do not have a strictly feasible point. In this case, only zeros and the invariant point
+        bound the norm, and `reason` describes the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
@@ -72,7 +75,7 @@ def find_lower_bound(
         '0.2500'
     """
     measured = Cy is not None or bool(len(plant.Cy))
-    if (Cy is not None and len(Cy)) or len(plant.Cy):  # a C_y without rows gives a bound for open-loop control
+    if (Cy is not None and len(Cy)) or len(plant.Cy):  # for a C_y without rows, the bound is for open-loop control
         plant = plant.measured(Cy, Dyw)
     best = _largest_bound(plant, measured, path, beyond_control)
     if best.state is not None or not np.any(plant.Dyw):
@@ -111,8 +114,8 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
 def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
     """Returns the lower bound for state feedback.
 
-    The bound comes from the dual of (22). If the plant's inequality has fewer coordinates than (22), or (22) has no path, the
-    bound comes from the path of the inequality.
+    The bound comes from the dual of (22). If the plant's inequality has fewer coordinates than (22), or if (22) has no path,
+    the bound comes from the path of this inequality.
     """
     bound = (
         _along_joint_path(plant, None, one, None)
@@ -125,7 +128,7 @@ def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[C
 def _along_joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> LowerBound:
-    """Returns the best bound from the points of `_joint_path`; 0 if the problem has no solution, or none with a finite gain."""
+    """Returns the best bound from the points of `_joint_path`; 0 if the problem has no solution with a finite gain."""
     points = []
     with contextlib.suppress(InputError), up_to_rounding(), np.errstate(all="ignore"):
         for point in _joint_path(plant, dual, one, other):
@@ -136,7 +139,7 @@ def _along_joint_path(
 def bound_beyond_control(plant: Plant) -> LowerBound:
     """Returns the lower bound at the invariant point; 0 if control can change every direction of z.
 
-    For a discrete plant, its continuous image only proposes the frequency.
+    For a discrete plant, the frequency is found with its continuous image, but the bound is computed for the discrete plant.
     """
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, true_frequency
@@ -152,10 +155,11 @@ def bound_beyond_control(plant: Plant) -> LowerBound:
 def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     """Returns the lower bound from disturbances that no measurement contains, and from outputs that no force changes.
 
-    Disturbances are considered at zero and at infinite frequency, outputs at infinite frequency. For a discrete plant, the
+    Disturbances are considered at zero and infinite frequency, and outputs at infinite frequency. For a discrete plant, the
     bound is 0.
 
-    Other zeros on the imaginary axis are not used, because floats cannot represent them. Zeros next to the axis give no bound.
+    Other zeros on the imaginary axis are not used, because floating-point numbers cannot represent them exactly. Zeros that are
+    only close to the axis do not give a bound.
     """
     if plant.dt is not None:
         return LowerBound(0.0)
@@ -200,7 +204,7 @@ def _sharpest(
 def _joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> Iterator[tuple[DualCertificate, DualCertificate | None, float]]:
-    """Yields dual certificates and gamma along the path, ever closer to the optimum, as far as it can be followed."""
+    """Yields dual certificates and gamma along the path as far as the path can be followed, each closer to the optimum."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
         return
     first, second = _ProjectedLmi(one, plant), None
@@ -248,15 +252,15 @@ def _joint_path(
 def _feasible(plant: Plant) -> Array:
     """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
-    X is the inverse of the solution of a Riccati equation in the plant's own units. The z of this equation also contains the
-    states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
+    X is the inverse of the solution of a Riccati equation in the plant's own units. The output z of this equation also contains
+    the states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
     """
     units = own_units(plant)
     own = units.into(plant)
     rate = nearest_power(size(own.A) if own.A.any() else units.rate) if plant.dt is None else 1.0
     weight = nearest_power(size(own.C))
     A, B, C, D = own.A / rate, own.B / rate, own.C / weight, own.D / weight
-    if not B.shape[1]:  # without inputs (open-loop control), the Riccati equation becomes a Lyapunov equation
+    if not B.shape[1]:  # if there are no inputs (open-loop control), the Riccati equation becomes a Lyapunov equation
         lyapunov = linalg.solve_continuous_lyapunov if plant.dt is None else linalg.solve_discrete_lyapunov
         P = weight**2 / rate * lyapunov(A.T, (-1 if plant.dt is None else 1) * (C.T @ C + size(C) ** 2 * np.eye(len(A))))
         X = np.linalg.inv(np.linalg.cholesky((P + P.T) / 2)) * units.states
@@ -271,7 +275,7 @@ def _feasible(plant: Plant) -> Array:
 
 
 def _feasible_part(Q: Array, c: Array) -> Array:
-    """Returns an X > 0 that satisfies the inequality of an `AntistablePart` for some eta: Q X + X Q' = c c' / 2 - epsilon I."""
+    """Returns an X > 0 that satisfies an `AntistablePart`'s inequality for some eta, from Q X + X Q' = c c' / 2 - epsilon I."""
     if not len(Q):
         return Q
     most, margin = (linalg.solve_continuous_lyapunov(Q, right) for right in (c @ c.T, np.eye(len(Q))))
@@ -280,7 +284,7 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 
 
 class _ProjectedLmi:
-    """One of the two inequalities, and its current X = T T'. In the coordinates of T, X is the identity."""
+    """One of the two inequalities, with its current X = T T'. In the coordinates of T, X is the identity."""
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable
@@ -295,17 +299,17 @@ class _ProjectedLmi:
         self.rows, self.columns = np.triu_indices(len(X))
 
     def start(self, last: float) -> Array:
-        """Returns the unknowns of X = I, followed by the last unknown."""
+        """Returns the vector of unknowns for X = I and a given last unknown."""
         return np.append((self.rows == self.columns).astype(float), last)
 
     def feasible_eta(self) -> float:
-        """Returns half the largest eta that is feasible at X = I; 1 if every eta is feasible."""
+        """Returns half of the largest eta that is feasible for X = I; 1 if every eta is feasible."""
         half = (self.Q @ self.T) @ (self.U @ self.T).T
         factor = np.linalg.cholesky(self.c @ self.c.T - half - half.T)
         return 0.5 / (float(np.linalg.norm(np.linalg.solve(factor, self.b), 2)) ** 2 or 0.5)
 
     def steps(self) -> Array:
-        """Returns the coefficients of the unknowns of X in -He(Q X U'), shape (N, k, k)."""
+        """Returns the coefficients of the unknowns of X in the matrix -He(Q X U'), shape (N, k, k), where He(M) = M + M'."""
         U, Q = self.U @ self.T, self.Q @ self.T
         half = np.einsum("ki,li->ikl", Q[:, self.rows], U[:, self.columns])
         half[self.rows != self.columns] += np.einsum("ki,li->ikl", Q[:, self.columns], U[:, self.rows])[self.rows != self.columns]
@@ -328,7 +332,7 @@ class _ProjectedLmi:
 
 
 def _coupling_matrix(first: _ProjectedLmi, second: _ProjectedLmi, between: Array) -> Array:
-    """Returns J2 J1' in the current coordinates of both inequalities."""
+    """Returns the matrix J2 J1' in the current coordinates of both inequalities."""
     return np.linalg.solve(second.T, np.linalg.solve(first.T, between.T).T)
 
 

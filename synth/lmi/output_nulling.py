@@ -1,4 +1,4 @@
-"""States that a gain F can make unobservable in z: from such a state on, (C + D F) x stays 0."""
+"""States that a gain F can make unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0."""
 
 from collections.abc import Iterator
 
@@ -24,13 +24,13 @@ def output_nulling_gains(plant: Plant) -> Iterator[Array]:
 
 
 def in_balanced_coordinates(plant: Plant, T: Array) -> tuple[Plant, Array]:
-    """Returns the plant in the coordinates T / lengths, in which ranks are determined, and the lengths of the columns of T."""
+    """Returns the plant in the coordinates in which ranks are determined (columns of T with length 1), and the lengths."""
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)
     return plant.in_coordinates(T / lengths), lengths
 
 
 def hides_stable_states(plant: Plant, T: Array, step: float) -> bool:
-    """Returns True if some gain makes stable states unobservable in z. T and step are those of `remove_unobservable`."""
+    """Returns True if some gain makes stable states unobservable in z. For T and step, see `remove_unobservable`."""
     moved, _ = in_balanced_coordinates(plant, T)
     return any(output_nulling_subspace(moved, F, step)[0].shape[1] for F in output_nulling_gains(moved))
 
@@ -41,7 +41,7 @@ def sees_every_state(plant: Plant) -> bool:
 
 
 def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
-    """Returns orthonormal bases of states that are unobservable in z for u = F x: the stable states, and all; shapes (n, k)."""
+    """Returns orthonormal bases of stable states, and of all states, that are unobservable in z for u = F x; shapes (n, k)."""
     n = len(plant.A)
     loop = plant.closed_loop(F) if F.any() else plant
     terms = np.linalg.norm(plant.C, axis=1) + np.linalg.norm(plant.D, axis=1) * np.linalg.norm(F)
@@ -59,7 +59,7 @@ def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[
     V = complement(observable.T)
     if not V.shape[1]:
         return V, V
-    slow = RANK * size  # rate below which a mode does not count as decaying, because of rounding
+    slow = RANK * size  # decay rate below which a mode does not count as decaying, because of rounding
 
     def decays(real: float, imaginary: float) -> bool:  # True if |1 + step s| < 1
         return real + step * (real**2 + imaginary**2) / 2 < -slow

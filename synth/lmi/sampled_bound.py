@@ -1,9 +1,9 @@
 """Search for the lower bound of a sampled-data loop: the highest level for which no controller reaches a norm below 1.
 
-Each level of the L2 gain has a discrete plant (`synth/analysis/sampled_loop.py`). For any controller that acts at the samples,
-the L2 gain is below the level if and only if the l2 gain of this plant is below 1. Delayed forces are states of this plant, and
-the measurement noise is one of its disturbances. If no controller of any order brings the norm of this plant below 1, the level
-is a lower bound on the L2 gain.
+For each level of the L2 gain, there is an equivalent discrete plant (`synth/analysis/sampled_loop.py`). For any controller that
+acts at the samples, the L2 gain is below the level if and only if the l2 gain of this plant is below 1. Delayed forces are
+states of this plant, and the measurement noise is one of its disturbances. If no controller of any order reduces the norm of
+this plant below 1, the level is a lower bound on the L2 gain.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.numerics import numerics
 
-AIM = 3e-7  # relative distance above 1 at which the search aims the bound of the level's plant
+AIM = 3e-7  # the search aims at a level whose plant has a bound above 1 by this relative distance
 ENOUGH = 1e-6  # relative distance from the highest proved level at which the search ends
 ROUNDS = 40  # largest number of iterations; most searches need about five
 
@@ -25,14 +25,14 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
     """Returns the highest level that is proved to be a lower bound on the L2 gain; None if no level is proved.
 
     Args:
-        problem: plant with held and delayed forces.
+        problem: design problem: a plant with held and delayed forces.
         near: level at which the search starts, such as the lower bound of the ideal loop.
     """
     below, above, level, best = 0.0, math.inf, near, None
     last: tuple[float, float] | None = None
     for _ in range(ROUNDS):
         plant = problem.at(level)
-        if plant is None:  # the gain within one period reaches the level before any force responds
+        if plant is None:  # the gain within one sample period reaches the level before a force can respond
             reached, discrete = math.inf, LowerBound(0.0)
         else:
             discrete = LowerBound(0.0)

@@ -1,7 +1,7 @@
 """Solution of the LMI problems by the solver Clarabel through cvxpy.
 
-This is an independent method for every bound. The designs come from the central path (`central_path.py`), which needs no
-solver.
+The solver is an independent method to check every bound. The designs are computed with the central path (`central_path.py`),
+which does not need a solver.
 """
 
 import warnings
@@ -47,7 +47,8 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q).
-        gain: fixed gain K, shape (m, q). If given, Y_R = K X_R, and the optimum is the best bound of (25) for this gain.
+        gain: fixed gain K, shape (m, q). If this gain is given, Y_R = K X_R, and the optimum is the best bound of (25) for this
+            gain.
 
     Raises:
         NoSolutionError: the solver reports that there is no solution, or eta is zero within the tolerance.
@@ -77,12 +78,12 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
     solve_sdp(problem)
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
-    # Clarabel has a tolerance of 1e-8, here relative to X.
+    # The tolerance of Clarabel is 1e-8, which is used relative to X.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
         raise NoSolutionError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
         )
-    per_step = 1.0 if step is None else step  # for a plant in differences, X of (21) is divided by the step
+    per_step = 1.0 if step is None else step  # for a plant in differences, the X of (21) is divided by the step
     return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)
 
 

@@ -2,10 +2,10 @@
 
     S_v = -((20) of loop v) + t I > 0,    X > 0
 
-The unknowns are the symmetric matrix X and t. Let L = -[A; C], R = [I; 0] and P = S^-1. Consider the second derivative of -log
-det S if X changes along the unit matrices e_p e_q' and e_s e_t'. This derivative is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]),
-where g = R' P L, r = L' P L and a = R' P R, as in `structured_barrier.py`. The sum over the loops is one matrix product, with
-n^4 operations per loop.
+The unknowns are the symmetric matrix X and t. Let L = -[A; C], R = [I; 0] and P = S^-1. The second derivative of -log det S for
+changes of X along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P
+L and a = R' P R. The symbols are defined in `structured_barrier.py`. The sum of these derivatives over the loops is one matrix
+product with n^4 operations per loop.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -69,7 +69,7 @@ class StackedBarrier:
         PL = -P @ self.system
         g, r, a = PL[:, :n], -self.system.swapaxes(1, 2) @ PL, P[:, :n, :n]
         trace = np.append(self._both(2 * g.sum(axis=0) + of_x), np.einsum("vii->", P))
-        # X > 0 has the form of a loop with L = R = I / 2^(1/2) and without t.
+        # The constraint X > 0 has the form of a loop with L = R = I / 2^(1/2) and without t.
         one, two = (np.concatenate([*pair, of_x[None] / 2**0.5]).reshape(-1, n * n) for pair in ((g, r), (g, a)))
         hessian = np.empty((len(p), len(p)))
         hessian[:-1, :-1] = self._folded((one.T @ two).reshape(n, n, n, n))
@@ -92,7 +92,7 @@ class StackedBarrier:
         """Returns the second derivatives along the unknowns of X.
 
         Args:
-            M: half of the second derivatives along the matrices e_p e_q' and e_s e_t', indexed by t, p, q, s.
+            M: half of the second derivatives along the unit matrices e_p e_q' and e_s e_t', indexed by t, p, q, s.
         """
         n = len(M)
         both = M + M.swapaxes(1, 2)  # symmetric in p and q

@@ -20,8 +20,8 @@ class Basis:
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
 
     Attributes:
-        places: row and column indices in [X; Y] of all unknowns except the last, shapes (N - 1,). For the unknowns of X, they
-            are those above the diagonal.
+        places: row and column indices in [X; Y] of all unknowns except the last, shapes (N - 1,). For the unknowns of X, these
+            are the indices on and above the diagonal.
         size: number N of unknowns.
     """
 
@@ -42,7 +42,7 @@ class Basis:
 
     @property
     def plant(self) -> Plant:
-        """Plant, if the basis belongs to one plant only."""
+        """Plant to which the basis belongs, if it is only one."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
@@ -59,9 +59,12 @@ class Basis:
 
     @functools.cached_property
     def F(self) -> Array:
-        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); for a discrete plant, k + n for k."""
+        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); k is larger by n for a discrete
+        plant.
+        """
         n, m, k = self.n, self.m, self.system.shape[-2]
-        # [A B; C D] [X; Y] for every unknown gives the left columns of (24). Its transpose gives the upper rows.
+        # [A B; C D] [X; Y] for every unknown gives the left columns of (24). The transpose of this product gives the upper
+        # rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
         F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
         F[..., :k, :n] = left
@@ -92,7 +95,8 @@ class Basis:
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     """Returns row and column indices in [X; Y] of all unknowns except eta.
 
-    The unknowns of X_Q and X_R on and above the diagonal come first, by rows. The unknowns of Y_R follow, by rows.
+    The unknowns of X_Q and X_R on and above the diagonal come first, row by row. The unknowns of Y_R are after them, also row
+    by row.
     """
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks

@@ -1,9 +1,10 @@
 """Removes stable states that are unobservable in z from the LMI problems, and adds them to the solution.
 
-Some gain F may make states unobservable in z: from such a state on, (C + D F) x stays 0. If these states decay, X of (22) and
-(25) may grow along them without bound and without cost. The problem then has no central path, and the gains on these states are
-arbitrary. Therefore, the states are removed. The problem of the other states has the same optimum, and it gives the gain on the
-other states. The gain on the removed states is F, which is zero if z weights the force separately.
+A gain F may make states unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0. If these
+states decay, the X of (22) and (25) may grow along them without limit, and without an effect on the objective. The problem then
+has no central path, and the gains on these states are arbitrary. Therefore, the states are removed. The problem for the other
+states has the same optimum, and its solution gives the gain on these states. The gain on the removed states is F, which is zero
+if z weights the force separately.
 
 In (25), X and Y must satisfy (12). In the coordinates of [Q R], the removed space is therefore the sum of a part in Q, on which
 F is zero, and a part in R.
@@ -30,8 +31,8 @@ class UnobservableReduction:
 
     Attributes:
         rest: plant of the k remaining states.
-        Q: Q of the remaining plant, shape (k, a').
-        R: R of the remaining plant, shape (k, q').
+        Q: matrix Q of the remaining plant, shape (k, a').
+        R: matrix R of the remaining plant, shape (k, q').
         Z: coordinates of the whole plant, with the remaining states first, shape (n, n).
         whole: whole plant in these coordinates, with the loop closed by F.
         narrow: matrix from the coordinates that R spans to those that the remaining R spans, shape (q', q).
@@ -55,7 +56,8 @@ class UnobservableReduction:
     def completed_x(self, K: Array, X: Array, eta: float) -> Array:
         """Returns an X of the whole plant from an X of the remaining plant, shape (n, n).
 
-        The result is the covariance of the closed loop with white noise that gives the remaining states the covariance X.
+        The result is the covariance of all states of the closed loop, for white noise with which the remaining states have the
+        covariance X.
         """
         loop, k = self._loop(K), len(X)
         A, follows, A2 = loop.A[:k, :k], loop.A[k:, :k], loop.A[k:, k:]
@@ -68,7 +70,7 @@ class UnobservableReduction:
         return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
 
     def proof(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant that proves the same bound; its part of the removed states is large enough."""
+        """Returns an X of the whole plant that proves the same bound, because its part for the removed states is large enough."""
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
         whole = inside @ self.completed_x(K, X, eta) @ inside.T
@@ -81,7 +83,7 @@ class UnobservableReduction:
         return self.Z @ whole @ self.Z.T
 
     def _loop(self, K: Array) -> Plant:
-        """Returns the closed loop in the coordinates of Z; for a discrete plant its bilinear image, which has the same X."""
+        """Returns the closed loop in the coordinates of Z; for a discrete plant, its bilinear image, which has the same X."""
         from synth.plant.discrete import from_differences
 
         gain = np.hstack([K @ self.R.T, np.zeros((len(K), len(self.whole.A) - len(self.rest.A)))])
@@ -107,7 +109,8 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
-        # In dimensionless units, the remaining states are orthogonal to the removed states. The result then depends on no unit.
+        # In dimensionless units, the remaining states are orthogonal to the removed states. The result then does not depend on
+        # any unit.
         own = T / lengths / own_units(plant).exact[0][:, None]
         kept_q, kept_r = _dual_basis(out_q, own[:, :a]), _dual_basis(out_r, own[:, a:])
         Z = np.hstack([np.asarray(linalg.block_diag(kept_q, kept_r)), in_q, in_r])
@@ -125,7 +128,7 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
 
 
 def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
-    """Returns bases of V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with a special structure.
+    """Returns bases of V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with the following structure.
 
     V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the other coordinates.
     """
@@ -147,7 +150,9 @@ def _null(M: Array) -> Array:
 
 
 def _dual_basis(out: Array, T: Array) -> Array:
-    """Returns the dual basis of `out`, shape (n, k). In coordinates T x, this basis is orthogonal to the complement of `out`.
+    """Returns the dual basis of `out`, shape (n, k).
+
+    In the coordinates T x, this dual basis is orthogonal to the complement of `out`.
 
     Args:
         out: matrix with orthonormal columns, shape (n, k).

@@ -1,1 +1,1 @@
-"""Generalized plant (15): its matrices and units, filters on its signals, and the map from discrete to continuous time."""
+"""Generalized plant (15): matrices and units, filters on the signals, and the map from discrete to continuous time."""

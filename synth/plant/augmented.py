@@ -4,15 +4,15 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. This
-disturbance is then part of Bw and Dw of the larger plant.
+For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. The
+effect of this disturbance through the law is therefore part of Bw and Dw of the larger plant.
 
 A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
 plant. A filter in series with an output weights this output. A filter in series with a disturbance shapes its spectrum. A
 filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
 
 - `transfer_function`: system from a ratio of polynomials in s
-- `series`, `append`: systems in series, and systems in parallel with separate signals
+- `series`, `append`: systems in series, or in parallel with separate signals
 - `with_weights`: plant with one filter before w and another after z
 
 Source: Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.
@@ -32,7 +32,7 @@ from synth.plant.state_space import StateSpace
 def closed_by(plant: Plant, law: LinearLaw) -> Plant:
     """Returns the closed loop with a law on y, from w to z and without an input.
 
-    The result is that of `Plant.closed`, in a fifth of the time.
+    The result is the same as that of `Plant.closed`, but is computed in a fifth of the time.
 
     Raises:
         InputError: the algebraic loop through the measurements has no solution.
@@ -112,8 +112,8 @@ def append(*systems: StateSpace) -> StateSpace:
 def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None) -> Plant:
     """Returns the plant with one system after z and another system before w.
 
-    The states of the plant come first, then those of the system after z, then those of the system before w. The result keeps
-    the measurements of the plant, which contain the filtered w.
+    The states of the plant come first, followed by the states of the system after z, and by the states of the system before w.
+    The result keeps the measurements of the plant, which contain the filtered w.
 
     Args:
         plant: plant with n states, r disturbances and d outputs.
@@ -147,7 +147,7 @@ def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, be
 def _diagonal(parts: Sequence[Array]) -> Array:
     """Returns a block-diagonal matrix.
 
-    A block without rows still adds its columns, and a block without columns still adds its rows.
+    A block without rows still adds columns, and a block without columns still adds rows.
     """
     whole = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
     i = j = 0

@@ -1,9 +1,9 @@
 """Discrete plants: the bilinear map to a continuous plant with the same norms, and accurate frequency responses.
 
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and its inside to the left half plane. A
-loop and its image therefore have the same stability and norm. A loop and its image also have the same X of the bounded-real LMI
-(20), up to a factor dt. The measurements of the image contain inputs and disturbances, y = C_y x + Dyw w + Dyu u. The gain
-stays the same, but it acts in an algebraic loop.
+discrete loop and its continuous image therefore have the same stability and norm. A loop and its image also have the same X of
+the bounded-real LMI (20), up to a factor dt. The measurements of the image contain inputs and disturbances, y = C_y x + Dyw w +
+Dyu u. The gain stays the same, but for the image it acts in an algebraic loop.
 
 A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 that moves it is applied first. The plant with
 this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
@@ -24,7 +24,8 @@ from models.common.errors import InputError
 from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
-# Smallest allowed singular value of the balanced A + I, relative to the largest: it limits the number of digits that are lost.
+# Smallest allowed singular value of the balanced A + I, relative to the largest one, which limits the number of digits that are
+# lost
 LEAST_SINGULAR_VALUE = 1e-6
 MOVES = 20  # number of gains that are tried if A has a pole near z = -1
 SEED = 20261122
@@ -58,7 +59,8 @@ def continuous_loop(loop: Plant, turned: bool = False) -> Plant:
 
     Args:
         loop: loop in continuous time, or in discrete time without a pole at z = -1.
-        turned: True to replace z by -z first. Then z = -1 is mapped to 0 instead of infinity. The norm and X do not change.
+        turned: True to replace z by -z first. With this replacement, z = -1 is mapped to 0 instead of infinity. The norm and X
+            do not change.
     """
     if loop.dt is None:
         return loop
@@ -77,12 +79,12 @@ def from_differences(loop: Plant, step: float) -> Plant:
 
 
 def true_frequency(omega: float, dt: float | None) -> float:
-    """Converts a frequency omega [rad/s] of the image, which may be infinite, to that of the discrete plant."""
+    """Converts a frequency omega [rad/s] of the image, which may be infinite, to the frequency of the discrete plant."""
     return omega if dt is None else float(2 / dt * np.arctan(omega * dt / 2))
 
 
 def mapped_frequency(omega: float, dt: float | None) -> float:
-    """Converts a frequency omega [rad/s] of the discrete plant to that of its image; the inverse of `true_frequency`."""
+    """Converts a frequency omega [rad/s] of the discrete plant to the frequency of its image; the inverse of `true_frequency`."""
     if dt is None:
         return omega
     return float(2 / dt * np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
@@ -99,7 +101,8 @@ def _away_from_minus_one(plant: Plant) -> Array:
     """Returns a gain K0 with which no pole is near z = -1, shape (m, q). K0 is zero if the plant has no such pole.
 
     K0 does not depend on the units of states, inputs or measurements. There is one exception: if a pole is almost exactly at
-    the limit LEAST_SINGULAR_VALUE, the powers of two from balancing decide. In coordinates that mix the states, K0 may differ.
+    the limit LEAST_SINGULAR_VALUE, the result depends on the powers of two that balancing chooses. In coordinates that mix the
+    states, K0 may differ.
     """
 
     def lost(K: Array) -> float:
@@ -141,7 +144,7 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
         t: tan(omega dt / 2), from 0 to infinity.
 
     Returns:
-        T, complex, shape (d, r), and the largest change of an entry in the last iteration.
+        The frequency response T, complex, shape (d, r), and the largest change of an entry in the last iteration.
 
     Raises:
         LinAlgError: the system has a pole at this point, up to rounding.

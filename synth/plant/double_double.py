@@ -1,8 +1,8 @@
 """Sums and products with twice the digits of floats. A number is the sum of a pair (high, low) of floats.
 
-Knuth's sum and Dekker's product are exact, because their rounding error is itself a float and is stored as `low`. Source:
-Ogita, Rump, Oishi 2005, Accurate sum and dot product. Magnitudes must stay between about 1e-140 and 1e300, as the entries of
-plants do.
+Knuth's sum and Dekker's product are exact, because the rounding error is also a float, which is stored as `low`. Source: Ogita,
+Rump, Oishi 2005, Accurate sum and dot product. Magnitudes must stay between about 1e-140 and 1e300, as the entries of plants
+do.
 """
 
 import numpy as np
@@ -12,7 +12,8 @@ from models.common.arrays import Array
 SPLIT = 2.0**27 + 1  # splits a float into two halves of 26 bits each, so that products of halves are exact
 
 CONVERGED_CHANGE = 1e-14  # relative change of the result at which an iteration has converged
-MOST_TURNS = 12  # largest number of iterations; each adds about 16 digits minus those lost to the condition of A
+# Largest number of iterations; each adds about 16 digits, minus the digits that are lost because of the condition of A
+MOST_TURNS = 12
 
 
 def exact_sum(a: Array, b: Array) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
 """Generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w.
 
-A discrete plant has x[k+1] instead of x', with a sample period of dt seconds.
+In the equations of a discrete plant, x[k+1] replaces x', where the sample period is dt seconds.
 """
 
 import warnings
@@ -18,7 +18,8 @@ from models.common.errors import InputError, short_repr
 from models.laws.linear import LinearLaw, static_law
 from synth.plant.double_double import exact_sum, product
 
-SMALLEST, LARGEST = 1e-50, 1e50  # limits of the entries of a matrix; beyond them, products of entries may under- or overflow
+# Limits of the entries of a matrix; outside these limits, products of entries may underflow or overflow
+SMALLEST, LARGEST = 1e-50, 1e50
 
 NOTHING: Any = None
 SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "D": ("d", "m"), "Dw": ("d", "r")}
@@ -28,9 +29,8 @@ SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "
 class Feedback:
     """Static gain u = K y with y = C_y x, stored as two factors K and C_y.
 
-    The factors are stored separately so that proofs do not depend on the rounding of their product. A gain may, for example,
-    weight the difference of two nearly dependent signals with a factor of a million. Rounding K C_y would then change the
-    controller.
+    The factors are stored separately so that proofs do not depend on the rounding of their product. For example, a gain may
+    multiply the difference of two nearly dependent signals by a million. Rounding K C_y would then change the controller.
 
     Attributes:
         K: gain, shape (m, q).
@@ -54,8 +54,9 @@ class Feedback:
 class Plant:
     """Linear plant with control inputs u, disturbances w, controlled outputs z and, if given, measurements y.
 
-    In continuous time, x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w. A plant with `dt` is discrete:
-    x[k+1] replaces x'. The methods that return another plant keep the measurements, unless they state otherwise.
+    In continuous time, x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w. A plant with a sample period `dt`
+    is discrete: x[k+1] replaces x'. Methods that return another plant keep the measurements unless their description states
+    otherwise.
 
     Attributes:
         A: state matrix, shape (n, n).
@@ -64,10 +65,10 @@ class Plant:
         C: matrix from the states to the d outputs, shape (d, n).
         D: feedthrough from the inputs to the outputs, shape (d, m).
         Dw: feedthrough from the disturbances to the outputs, shape (d, r); zero in the paper.
-        beyond: rounding errors of A and C of a closed loop (true value minus float), shape (n + d, n); None if A and C are
-            exact.
-        weights: number of states that belong to weighting filters; they are the last states. No controller moves their poles,
-            and the speed of the plant does not include them.
+        beyond: rounding errors of A and C of a closed loop (true value minus float) [A; C], shape (n + d, n); None if A and C
+            are exact.
+        weights: number of states that belong to weighting filters; they are the last states. Controllers cannot move the poles
+            of these filters, and the speed of the plant does not include them.
         dt: sample period of a discrete plant [s]; None for a continuous plant.
         Cy: matrix from the states to the q measurements, shape (q, n). Default: no measurements.
         Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
@@ -124,7 +125,7 @@ class Plant:
         q = 0 if self.Cy is None else len(real_matrix(self.Cy, "Cy", f"(q, {size['n']})"))
         for name, of, what in (("Cy", "n", "state"), ("Dyu", "m", "input"), ("Dyw", "r", "disturbance")):
             shape, value = (q, size[of]), getattr(self, name)
-            # `replace` may have changed the shapes of the other matrices.
+            # The check is repeated because `replace` may have changed the shapes of the other matrices.
             none = value is None or (isinstance(value, np.ndarray) and value.ndim == 2 and not len(value))
             matrix = np.zeros(shape) if none else real_matrix(value, name, str(shape))
             if matrix.shape != shape:
@@ -141,7 +142,10 @@ class Plant:
         return cls(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw, dt=dt)
 
     def unchecked(self, **parts: Any) -> "Plant":
-        """Returns the plant with some attributes replaced. The new values must fit; they are neither checked nor copied."""
+        """Returns the plant with some attributes replaced.
+
+        The new values must fit the other attributes; they are neither checked nor copied.
+        """
         plant = object.__new__(Plant)
         plant.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)} | parts)
         return plant
@@ -150,7 +154,7 @@ class Plant:
         """Returns the plant with the measurements y = Cy x + Dyu u + Dyw w after a check.
 
         Args:
-            Cy: matrix with a row for each measured signal, shape (q, n). Default: the measurements of the plant.
+            Cy: matrix with a row for each measured signal, shape (q, n). By default, these are the measurements of the plant.
             Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
             Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
 
@@ -159,7 +163,8 @@ class Plant:
 
         Raises:
             InputError: the plant has no state, or no signal is measured. The error is also raised if a matrix has the wrong
-                shape or entries that are not real finite numbers. All entries of a measured signal must not be nearly zero.
+                shape or entries that are not real finite numbers. Every measured signal must have at least one entry that is
+                not nearly zero.
         """
         check_states(len(self.A))
         changed: dict[str, Any] = {"Cy": Cy, "Dyw": Dyw, "Dyu": Dyu}
@@ -182,7 +187,7 @@ class Plant:
         return plant
 
     def acting(self, K: Array) -> Array:
-        """Returns (I - K Dyu)^-1 K, shape (m, q): the gain on C_y x + Dyw w with the same effect as K on the measurements.
+        """Returns (I - K Dyu)^-1 K, the gain on C_y x + Dyw w with the same effect as K on the measurements, shape (m, q).
 
         Raises:
             InputError: the algebraic loop has no solution.
@@ -190,19 +195,25 @@ class Plant:
         return static_law(K).fed_back(self.Dyu).D
 
     def on_readings(self, G: Array) -> Array:
-        """Returns the gain on the measurements with the same effect as G on C_y x + Dyw w. This is the inverse of `acting`."""
+        """Returns the gain on the measurements with the same effect as G on C_y x + Dyw w.
+
+        This method is the inverse of `acting`.
+        """
         return static_law(G).fed_back(-self.Dyu).D
 
     @property
     def without_weighting(self) -> "Plant":
-        """Plant without its weighting filters, whose states are the last. A gain decides the stability of this part only."""
+        """Plant without its weighting filters, whose states are the last ones.
+
+        A gain affects only the stability of this part.
+        """
         own = slice(len(self.A) - self.weights)
         parts = {"A": self.A[own, own], "B": self.B[own], "Bw": self.Bw[own], "C": self.C[:, own], "Cy": self.Cy[:, own]}
         return replace(self, weights=0, **parts)
 
     @property
     def without_feedthrough(self) -> "Plant":
-        """Plant with the measurements C_y x + Dyw w, without Dyu; control laws are designed for these measurements."""
+        """Plant with the measurements C_y x + Dyw w (without Dyu), for which control laws are designed."""
         return replace(self, Dyu=None) if np.any(self.Dyu) else self
 
     @property
@@ -278,7 +289,10 @@ class Plant:
 
     @property
     def transposed(self) -> "Plant":
-        """Transposed plant, with w and z exchanged. Its state feedback is the output injection of y = C_y x + Dyw w."""
+        """Transposed plant, with w and z exchanged.
+
+        State feedback for the transposed plant is output injection of y = C_y x + Dyw w for this plant.
+        """
         return Plant(self.A.T, self.Cy.T, self.C.T, self.Bw.T, self.Dyw.T, self.Dw.T, dt=self.dt)
 
     @property
@@ -290,10 +304,10 @@ class Plant:
     def differences(self) -> "Plant":
         """Plant in differences, in which (x[k+1] - x[k]) / dt replaces x'.
 
-        As dt decreases, its entries approach those of the continuous plant.
+        As dt decreases, the entries of this plant approach those of the continuous plant.
 
-        The result has the form of a continuous plant, but its poles and norms are not those of the plant. A continuous plant is
-        returned unchanged.
+        The result has the form of a continuous plant, but its poles and norms differ from those of the discrete plant. A
+        continuous plant is returned unchanged.
         """
         if self.dt is None:
             return self
@@ -326,7 +340,7 @@ class Plant:
         return replace(self, A=high[:n], C=high[n:], Cy=Cy, beyond=beyond, weights=0)
 
     def in_coordinates(self, T: Array) -> "Plant":
-        """Returns the same plant with the state T^-1 x, for a regular matrix T of shape (n, n)."""
+        """Returns the same plant with the new state T^-1 x, for a regular matrix T of shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
         return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
@@ -372,12 +386,12 @@ def law_gain(law: LinearLaw) -> Array:
 
 
 def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
-    """Returns the law from its static gain [D, C; B, A]. This is the inverse of `law_gain`."""
+    """Returns the law from its static gain [D, C; B, A]. This function is the inverse of `law_gain`."""
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
 
 
 def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array | None = None) -> tuple[Array, Array]:
-    """Returns [A; C] + [B; D] G, rounded once, and the rounding error.
+    """Returns the matrix [A; C] + [B; D] G, rounded once, and its rounding error.
 
     Args:
         open_loop: matrices [A; C], shape (n + d, n).
@@ -421,7 +435,10 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 
 
 def check_states(n: int) -> None:
-    """Raises an InputError if a plant has no state. Only plants of the user are checked; parts of a plant may have no state."""
+    """Raises an InputError if a plant has no state.
+
+    This check is only for plants of the user; a part of a plant may be without states.
+    """
     if not n:
         raise InputError("A has shape (0, 0), a plant without states; give at least one")
 
@@ -434,7 +451,7 @@ def check_inputs(plant: Plant) -> None:
 
 
 def check_continuous(plant: Plant) -> None:
-    """Raises an InputError for a discrete plant; used by functions whose formulas hold for continuous plants only."""
+    """Raises an InputError for a discrete plant, for functions whose formulas are valid only for continuous plants."""
     if plant.dt is not None:
         raise InputError(f"the plant is discrete (dt = {plant.dt:g}), but this function needs a continuous plant; give one")
 
@@ -453,7 +470,7 @@ def check_posed(plant: Plant) -> None:
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:
-    """Returns a gain on some of q measurements as a gain on all of them, with zeros for the others, shape (m, q)."""
+    """Returns a gain on some of q measurements as a gain on all q measurements, with zeros for the others, shape (m, q)."""
     whole = np.zeros((len(gain), q))
     whole[:, kept] = gain
     return whole

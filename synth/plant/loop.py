@@ -6,15 +6,15 @@ The law computes the forces u from some of the outputs y. The other inputs d of 
 noise and forces from a road preview. In continuous time, the law acts without delay.
 
 In discrete time, the law samples y every T seconds, just before its new force starts to act. A measurement therefore contains
-the force that acted before. Over each part of the period, a force acts that was computed some samples ago. The state at a
-sample is
+the force that acted before the sample. In each part of the sample period, the force that acts was computed some samples ago.
+The state at a sample is
 
     [x; states of the law; u[k-1]; ...; u[k-p]],
 
-with the previous forces that still act, or that a measurement contains.
+where u[k-1], ..., u[k-p] are the previous forces that still act or that a measurement contains.
 
-In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force. A delayed force thus needs
-no additional state.
+In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force (s: Laplace variable). A
+delayed force thus needs no additional state.
 """
 
 import math
@@ -30,7 +30,8 @@ from models.common.checks import CheckedFields, Index, PositiveTime, accept_form
 from models.laws.linear import LinearLaw
 from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
-LAW_STATE, REQUESTED = "law_state_", ".requested"  # prefix and suffix of output names: states of the law, forces it requests
+# Prefix of output names for states of the law, and suffix of output names for requested forces
+LAW_STATE, REQUESTED = "law_state_", ".requested"
 
 
 @accept_former_names(late="delay_samples")
@@ -61,12 +62,13 @@ class Loop:
 
     Attributes:
         plant: plant with n states, either in continuous time, or in discrete time with held inputs.
-        law: law from the measured outputs to the forces, as designed; see `acting_law`.
+        law: law from the measured outputs to the forces, as designed; `acting_law` is the law as it runs.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law computes.
-        hold: parts of the sample period in order of time, each with the delay of its force; empty in continuous time.
+        hold: parts of the sample period in chronological order, each with the delay of its force; empty in continuous time.
         step: time over which disturbances are held [s]; the parts of the period are multiples of this time.
-        exponential: function that computes the matrix exponential of a step. `taylor4` predicts the steps of an RK4 integrator.
+        exponential: function that computes the matrix exponential of a step. With `taylor4`, the loop predicts the steps of an
+            RK4 integrator.
     """
 
     plant: StateSpace
@@ -100,19 +102,19 @@ class Loop:
 
     @cached_property
     def requested_forces(self) -> tuple[str, ...]:
-        """Names of the outputs that are the forces computed by the law, without the forces added from outside."""
+        """Names of the outputs that are the forces computed by the law, without external forces."""
         return tuple(f"{name}{REQUESTED}" for name in self.forces)
 
     @property
     def direct(self) -> Array:
-        """Immediate gain from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
+        """Direct gain from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
         return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
 
     @property
     def direct_radius(self) -> float:
         """Spectral radius of `direct`.
 
-        If it is 1 or more, a force that is sampled or delayed grows through its own measurement.
+        If the radius is 1 or more, a force that is sampled or delayed grows through its own measurement.
         """
         return spectral_radius(self.direct)
 
@@ -143,7 +145,7 @@ class Loop:
 
     @cached_property
     def _held_plant(self) -> StateSpace:
-        """Plant with the forces first, discretised over a step if disturbances are held over steps."""
+        """Plant with the forces as its first inputs, discretised over a step if disturbances are held over steps."""
         plant = self._forced_plant
         if self.step is None or plant.dt is not None:
             return plant
@@ -156,23 +158,24 @@ class Loop:
 
     @cached_property
     def open_loop(self) -> StateSpace:
-        """Open loop, cut at all forces. Its inputs are the forces and the disturbances.
+        """Open loop, cut at all forces.
 
-        Its outputs are those of the plant, the states of the law, and the forces that the law requests. In discrete time, the
-        force inputs are the forces computed at a sample. Disturbances are then held over the sample period, and the outputs are
-        those just after the sample.
+        The inputs of the open loop are the forces and the disturbances. The outputs are the outputs of the plant, the states of
+        the law, and the forces that the law requests. In discrete time, the force inputs are the forces computed at a sample.
+        Disturbances are then held over the sample period, and the outputs have their values just after the sample.
         """
         plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
         n, k = len(plant.A), law.states
         N = n + k + p * m
-        # Rows select from [x; x_c; previous forces; u; d]. The following signals are matrices that act on this vector.
+        # Rows select from [x; x_c; previous forces; u; d]. The following names of signals are matrices that act on this vector.
         x, x_c, previous, u, d = np.split(np.eye(N + len(plant.inputs)), [n, n + k, N, N + m])
         forces = [u, *(previous[i * m : (i + 1) * m] for i in range(p))]  # by age [samples]
         acting = before = u
         if self.hold:
             acting, last = forces[self.hold[0].delay_samples], self.hold[-1].delay_samples + 1
-            before = forces[last] if p >= last else 0 * u  # force that acts until the sample, if a measurement contains it
+            # Force that acts until the sample, if a measurement contains this force
+            before = forces[last] if p >= last else 0 * u
         y = plant.C @ x + plant.D @ np.vstack([acting, d])
         readings = plant.C[measured] @ x + plant.D[measured] @ np.vstack([before, d])
         outputs = np.vstack([y, x_c, law.D @ readings + law.C @ x_c])
@@ -188,7 +191,7 @@ class Loop:
 
     @cached_property
     def closed_loop(self) -> StateSpace:
-        """Closed loop: the requested forces are added to the force inputs, which are then forces from outside.
+        """Closed loop, in which the requested forces are added to the force inputs; these inputs are then external forces.
 
         Raises:
             InputError: the algebraic loop through measurements that contain forces has no solution in continuous time.
@@ -196,7 +199,7 @@ class Loop:
         return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
-        """Returns the loop cut at some forces and closed at the others: from the acting forces to the requested forces."""
+        """Returns the loop that is cut at some forces and closed at the others, from acting forces to requested forces."""
         others = [name for name in self.forces if name not in forces]
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
@@ -210,7 +213,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
 
     Args:
         loop: sampled-data loop with a step.
-        outputs: names of p outputs. States and requested forces of the law are those of the last sample.
+        outputs: names of p outputs. For states and requested forces of the law, the values are those at the last sample.
         inputs: inputs by name, each of shape (..., T). Disturbances are held over each step. Values for a force are added to
             the requested force at the samples.
         start: initial states of the plant, shape (n,). Default: zero.
@@ -242,7 +245,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     for i in np.flatnonzero(~outside):
         computed[..., columns[i]] += at_sample[..., i]
     plant, acting = loop.plant, [*range(m), *columns[outside]]
-    steps = np.empty((*runs, K, P, n + len(acting)))  # [x; forces; disturbances] in every step
+    steps = np.empty((*runs, K, P, n + len(acting)))  # vector [x; forces; disturbances] in every step
     steps[..., 0, :n], steps[..., n + m :] = states[..., :n], by_step
     into = np.hstack([Phi, Gamma[:, acting]]).T
     for i, late in enumerate(lates):
@@ -258,7 +261,9 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
 
 
 def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Array]:
-    """Returns the columns of the given disturbances in `Loop.open_loop`, and their amplitudes, shape (F, d, c)."""
+    """Returns the columns of the given disturbances in `Loop.open_loop`, and the amplitudes of these disturbances, shape (F, d,
+    c).
+    """
     names = [name for name in drive if name not in loop.forces]
     return loop.open_loop.columns(names), np.stack([drive[name] for name in names], axis=1)
 
@@ -266,14 +271,14 @@ def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Ar
 def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array, Array]:
     """Returns the response of a sampled-data loop to sinusoidal inputs, at the samples.
 
-    A delay of j samples is the factor z^-j. The states s = [x; states of the law] and the forces therefore satisfy
+    A delay of j samples corresponds to the factor z^-j. The states s = [x; states of the law] and the forces therefore satisfy
 
         z s = A s + G u + E d,    u = C s + H u + F d.
 
     The arguments are those of `frequency_response`.
 
     Returns:
-        z, shape (F, 1, 1); the states s, shape (F, n + k, c); and the computed forces, shape (F, m, c).
+        The values of z, shape (F, 1, 1); the states s, shape (F, n + k, c); and the computed forces, shape (F, m, c).
     """
     system, n, m = loop.open_loop, len(loop.plant.A) + loop.law.states, len(loop.forces)
     z, (columns, d) = np.exp(1j * omega * loop.period)[:, None, None], _disturbances(loop, drive)
@@ -309,8 +314,8 @@ def _by_step(
     """Returns the harmonic response in every step of the sample period, relative to exp(j omega t).
 
     Returns:
-        The plant from forces and given disturbances to the outputs. Its states and the acting forces in each step. The
-        amplitudes of the disturbances.
+        The plant from forces and given disturbances to the outputs. The states of this plant and the acting forces in each
+        step. The amplitudes of the disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
@@ -335,8 +340,8 @@ def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Arr
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
     """Returns outputs of the plant for sinusoidal inputs, complex, shape (F, p, c).
 
-    If the sample period has several steps, held forces add other frequencies. The result is then the part at the frequency of
-    the input.
+    If the sample period has several steps, held forces cause additional frequencies. The result is then the part at the
+    frequency of the input.
 
     Args:
         loop: loop in continuous time, or sampled-data loop.
@@ -356,8 +361,8 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
 def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array]:
     """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
 
-    The sample period starts at t = 0. Between samples, held forces add other frequencies. `frequency_response` contains only
-    the part at omega. The arguments are those of `frequency_response`.
+    The sample period starts at t = 0. Between samples, held forces cause additional frequencies, whereas `frequency_response`
+    contains only the part at omega. The arguments are those of `frequency_response`.
 
     Returns:
         The outputs, complex, shape (P + 1, F, p, c), where the last entry is the start of the next period. The jumps of the
@@ -365,7 +370,8 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     """
     plant, x, u, d = _by_step(loop, outputs, drive, omega)
     turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]
-    before = [u[-1] / turn, *(one / turn for one in u[:-1])]  # u[-1], relative to exp(j omega t), also holds in the last period
+    # Relative to exp(j omega t), u[-1] is also the force in the last period
+    before = [u[-1] / turn, *(one / turn for one in u[:-1])]
     values, jumps = [], []
     for i, (state, now, last) in enumerate(zip(x, u, before, strict=True)):
         values.append((plant.C @ state + plant.D @ np.concatenate([now, d], axis=1)) * turn**i)
@@ -374,6 +380,6 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
 
 
 def _delay_forces(forces: Array, samples: int) -> Array:
-    """Returns forces of shape (..., K, m), delayed by a number of samples; they start with zeros."""
+    """Returns forces of shape (..., K, m) that are delayed by a number of samples, starting with zeros."""
     count = forces.shape[-2]
     return np.concatenate([np.zeros_like(forces[..., :samples, :]), forces[..., : max(count - samples, 0), :]], axis=-2)

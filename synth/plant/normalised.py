@@ -1,8 +1,8 @@
-"""Normalisation of a plant and its measurements to numbers near 1, and the transformation of a law back to the given units.
+"""Normalisation of a plant and its measurements so that numbers are near 1, and conversion of a law to the given units.
 
-If the given units differ by powers of two, the normalised plant is the same bit for bit. A design therefore does not depend on
-the units. A design depends only on the span of the measurements. The measurements are therefore replaced by an orthonormal
-basis, and dependent measurements are omitted.
+If a plant is given in other units that differ by powers of two, the normalised plant is the same bit for bit. A design
+therefore does not depend on the units. A design depends only on the span of the measurements. The measurements are therefore
+replaced by an orthonormal basis, and dependent measurements are omitted.
 """
 
 from collections.abc import Sequence
@@ -23,15 +23,16 @@ class NormalisedPlant:
     """Plant and its measurements in units that make the entries of the matrices near 1.
 
     Attributes:
-        plant: normalised plant with n states and m independent inputs. Time, w and z have their own units, too. [Cy Dyw] has k
-            orthonormal rows.
-        norm: value that a norm of 1 in the given units has in these units.
+        plant: normalised plant with n states and m independent inputs. Time, w and z are also normalised. The matrix [Cy Dyw]
+            has k orthonormal rows.
+        norm: value in normalised units of a norm that is 1 in the given units.
         independent_rows: indices of the given measurements that do not depend on earlier ones.
         q: number of given measurements.
         units: units of states and inputs.
         rate: rate of the time scale [rad/s].
-        inputs: matrix W with u = W v, shape (m', m), where u are the m' given inputs in their own units.
-        rows: matrix S, shape (k, k). The independent measurements are S times those of the normalised plant.
+        inputs: matrix W with u = W v, shape (m', m), where u are the m' given inputs in normalised units, and v the m
+            independent inputs.
+        rows: matrix S, shape (k, k). The given independent measurements are S times the measurements of the normalised plant.
     """
 
     plant: Plant
@@ -77,12 +78,12 @@ class NormalisedPlant:
     def from_given(self) -> Array:
         """Matrix from the given measurements to the measurements of the normalised plant, shape (k, q)."""
         from_y = np.zeros((len(self.independent_rows), self.q))
-        # A triangular solution row by row has no pivots, which would depend on the units.
+        # The triangular system is solved row by row, without pivots, because pivots would depend on the units.
         from_y[:, self.independent_rows] = linalg.solve_triangular(self.rows, np.eye(len(self.rows)), lower=True)
         return from_y
 
     def back(self, law: LinearLaw) -> LinearLaw:
-        """Returns a law for the given plant on all q measurements. The states of the law keep the normalised units."""
+        """Returns a law for the given plant on all q measurements. The states of the law stay in normalised units."""
         from_y = self.from_given
         inputs = self.units.inputs[:, None] * self.inputs
         return LinearLaw(self.rate * law.A, self.rate * law.B @ from_y, inputs @ law.C, inputs @ law.D @ from_y)

@@ -1,4 +1,4 @@
-"""Common setting of all computations: one thread, and failures that raise errors instead of returning empty results."""
+"""Common settings of all computations: one BLAS thread, and errors for failures instead of empty results."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,15 +12,18 @@ from models.common.threads import one_thread
 class DesignError(InputError):
     """Failure of a design. The message describes the problem, its usual cause and what to do."""
 
-    exit_code = 1  # the input is valid
+    exit_code = 1  # the exit code is 1, because the input is valid
 
 
 class InfeasibleError(DesignError):
-    """Proof that no controller of the requested kind stabilises the plant. The message gives the mode or another reason."""
+    """Proof that no controller of the requested kind stabilises the plant.
+
+    The message names the mode that cannot be stabilised, or gives another reason.
+    """
 
 
 class NoSolutionError(DesignError):
-    """Failure because an LMI problem has no solution with eta > 0. A controller may still exist."""
+    """Failure because an LMI problem has no solution with eta > 0. A stabilising controller may still exist."""
 
 
 class TooLargeError(DesignError):
@@ -47,7 +50,7 @@ def of_rounding(error: BaseException) -> bool:
 
 @contextmanager
 def up_to_rounding() -> Iterator[None]:
-    """Ends the block silently if an error is due to rounding, for example in a descent at the limit of stability."""
+    """Ends the block without a message if an error is due to rounding, for example in a descent at the limit of stability."""
     try:
         yield
     except (ValueError, ArithmeticError) as error:
@@ -59,7 +62,7 @@ def up_to_rounding() -> Iterator[None]:
 def numerics() -> Iterator[None]:
     """Runs a block or a decorated function with one BLAS thread and without warnings about overflow.
 
-    Failed linear algebra raises a DesignError. Results that are not finite are rejected where they are used.
+    Failed linear algebra raises a DesignError. The code that uses results rejects results that are not finite.
 
     Raises:
         DesignError: numpy or scipy reports a matrix that is singular or not finite.

@@ -3,7 +3,8 @@
 The band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in the complex
 plane. A spectrum is therefore equally smooth on all panels, and even a resonance with a damping of 1e-6 needs only a few more
 panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the part of
-the integrand with degrees 8 and 9, which is far larger than the true error. Panels with a large estimate are halved.
+the integrand with polynomial degrees 8 and 9, which is far larger than the true error. Panels with a large error estimate are
+halved.
 """
 
 from collections.abc import Callable
@@ -16,11 +17,13 @@ from models.common.arrays import Array
 SHARE = 0.7  # length of a panel relative to the distance to the nearest pole
 ORDER = 10  # number of nodes in a panel
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
-LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T  # weights for moments of degrees 8 and 9
+# Weights for the moments of polynomial degrees 8 and 9
+LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T
 ENOUGH = 1e-5  # allowed error estimate of a panel, relative to the integral
 HALVINGS = 20  # largest number of rounds in which panels are halved
 MOST_PANELS = 20_000  # limit of 200 000 frequencies; if they do not suffice, the error estimate is large
-NOTHING = 1e-24  # relative to the largest integral; smaller ones are rounding, such as the roll of a car with equal tracks
+# Smaller integrals, relative to the largest one, are rounding errors, such as the roll of a car on equal tracks
+NOTHING = 1e-24
 FINEST = 1e-12  # length of the shortest panel, relative to its frequency
 
 
@@ -41,7 +44,10 @@ class Band:
     error: float
 
     def before(self, other: "Band") -> "Band":
-        """Returns this band followed by the adjacent band `other`. The error is that of `other`, whose integrals dominate."""
+        """Returns this band followed by the adjacent band `other`.
+
+        The error of the result is that of `other`, whose integrals dominate.
+        """
         pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
         return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
 
@@ -49,8 +55,8 @@ class Band:
         """Returns complex weights for Fourier integrals, shape (F,).
 
         `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. The integral is accurate for any t [s],
-        because f is treated as the polynomial through its nodes on each panel. With the Legendre polynomial P_l and the
-        spherical Bessel function j_l, the integral of P_l(x) exp(j a x) from -1 to 1 is 2 j^l j_l(a).
+        because f is treated as the polynomial through its nodes on each panel. The method uses that the integral of P_l(x)
+        exp(j a x) from -1 to 1 is 2 j^l j_l(a), where P_l is a Legendre polynomial and j_l a spherical Bessel function.
         """
         from scipy import special  # the import takes 0.1 s
 
@@ -69,14 +75,14 @@ def sample_band(
     poles: Array,
     longest: float,
 ) -> Band:
-    """Samples a function at enough frequencies of a band for accurate integrals of functions of its values.
+    """Samples a function at so many frequencies of a band that integrals over its values are accurate.
 
     Args:
-        function: function of frequencies [rad/s], from shape (F,) to (F, ...).
+        function: function of frequencies [rad/s] of shape (F,), which returns values of shape (F, ...).
         checked: function of frequencies, shape (F,), and of the values of `function` at these frequencies. The function returns
             c nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
-        poles: poles of the function [rad/s], complex, shape (n,). Panels are short near poles.
+        poles: poles of the function [rad/s], complex, shape (n,). Near poles, panels are short.
         longest: largest length of a panel [rad/s].
     """
     left, right = _panels(low, high, poles, longest)
@@ -107,7 +113,8 @@ def _panels(low: float, high: float, poles: Array, longest: float) -> tuple[Arra
     ends, longest = [low], max(longest, (high - low) / MOST_PANELS)
     while ends[-1] < high:
         here = ends[-1]
-        # Road spectra have a pole at 0, so 0 counts as a pole. Panels need not be shorter than rounding errors.
+        # The spectra of roads have a pole at 0, so 0 counts as a pole. The length of a panel is limited because panels shorter
+        # than rounding errors are useless.
         step = max(SHARE * min(here, float(np.abs(1j * here - poles).min(initial=np.inf))), FINEST * here)
         end = here + min(step, longest)
         ends.append(high if end + step / 5 >= high else end)
@@ -115,12 +122,12 @@ def _panels(low: float, high: float, poles: Array, longest: float) -> tuple[Arra
 
 
 def _nodes(left: Array, right: Array) -> Array:
-    """Returns the nodes of P panels in their order [rad/s], shape (P ORDER,)."""
+    """Returns the nodes of P panels in ascending order [rad/s], shape (P ORDER,)."""
     return ((left + right)[:, None] / 2 + np.multiply.outer((right - left) / 2, NODES)).ravel()
 
 
 def _estimate(integrands: Array, width: Array) -> Array:
-    """Returns the relative error estimate of every panel, shape (P,): the largest among all integrals."""
+    """Returns the relative error estimate of every panel, shape (P,): the largest estimate among all integrals."""
     by_panel = integrands.reshape(len(width), ORDER, -1)
     whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
     last = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)

@@ -71,9 +71,9 @@ class StateSpace:
         return replace(self, B=np.hstack([self.B, B]), D=np.hstack([self.D, D]), inputs=(*self.inputs, *names))
 
     def closed(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system with outputs fed back: each of `outputs` is added to the input at the same place in `inputs`.
+        """Returns the system with feedback: each output in `outputs` is added to the input at the same place in `inputs`.
 
-        These inputs of the result are then added from outside.
+        In the result, these inputs are external signals that are added to the feedback.
 
         Raises:
             InputError: the feedback has an algebraic loop without a solution.
@@ -92,19 +92,21 @@ class StateSpace:
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:
-        """Returns the state matrix of a cut loop that is closed by u = factor y, shape (..., n, n), for an array of factors."""
+        """Returns the state matrix of a cut loop that is closed by u = factor y, for an array of factors, shape (..., n, n)."""
         factor = np.asarray(factor)[..., None, None]
         if not np.any(self.D):
             return self.A + factor * (self.B @ self.C)
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
 
     def hold_matrices(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
-        """Returns Phi and Gamma for inputs that are held over a duration [s]. The states at its end are Phi x + Gamma u.
+        """Returns Phi and Gamma for inputs that are held over a duration [s].
+
+        The states at the end of the duration are Phi x + Gamma u.
 
         Args:
             duration: time over which the inputs are held [s].
-            exponential: function that computes the matrix exponential. This function is not used in discrete time, where steps
-                are repeated.
+            exponential: function that computes the matrix exponential. In discrete time, this function is not used, because
+                steps are repeated.
         """
         n, k = self.B.shape
         if self.dt is None:
@@ -115,7 +117,7 @@ class StateSpace:
         return whole[:n, :n], whole[:n, n:]
 
     def response(self, at: Array) -> Array:
-        """Returns C (s - A)^-1 B + D, complex, shape (F, p, k), at F points s; in discrete time at points z instead of s."""
+        """Returns the transfer matrix C (s - A)^-1 B + D, complex, shape (F, p, k), at F points s (or z in discrete time)."""
         k = self.D.shape[1]
         return self.driven(at, np.broadcast_to(np.eye(k), (len(at), k, k)))
 
@@ -123,7 +125,7 @@ class StateSpace:
         """Returns the outputs for inputs proportional to exp(s t), or to z^k in discrete time, complex, shape (F, p, c).
 
         Args:
-            at: points s (in discrete time z), shape (F,).
+            at: points s, or points z in discrete time, shape (F,).
             amplitudes: complex amplitudes of all inputs, shape (F, k, c).
         """
         states = np.linalg.solve(at[:, None, None] * np.eye(len(self.A)) - self.A, self.B @ amplitudes)

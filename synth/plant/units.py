@@ -10,13 +10,13 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
-NILPOTENT = 1e-14  # size relative to |A|^n below which A^n counts as 0; then all poles are 0, as those of integrators
-CANCELLED_SUM = 1e-9  # size relative to its terms below which a sum may be zero
-TOGETHER = 1e-4  # weight of the equations that give all disturbances w one unit, and all outputs z one unit
-# Relative to the largest eigenvalue of the normal equations: smaller ones belong to undetermined units. All others exceed 1e-8.
+NILPOTENT = 1e-14  # size relative to |A|^n below which A^n counts as 0; all poles are then 0, as for a chain of integrators
+CANCELLED_SUM = 1e-9  # size of a sum, relative to its terms, below which the sum may be zero
+TOGETHER = 1e-4  # weight of the equations for a common unit of all disturbances w, and a common unit of all outputs z
+# Smaller eigenvalues of the normal equations, relative to the largest one, belong to undetermined units All others exceed 1e-8.
 OPEN = 1e-11
 FINEST = 2.0**-20  # resolution of an exponent of two; coarser than rounding, so that equal units stay equal in powers of two
-ALIKE = 1e-6  # relative difference below which two units count as equally undetermined
+ALIKE = 1e-6  # two units count as equally undetermined if the relative difference is below this value
 UPWARDS = 0.53  # offset for rounding exponents; not 0.5, so that a unit half-way between two powers of two is not ambiguous
 DEPENDENT = 1e-10  # smallest singular value of rows of length 1 for which the rows count as independent
 
@@ -24,33 +24,34 @@ DEPENDENT = 1e-10  # smallest singular value of rows of length 1 for which the r
 def reachable(plant: Plant, free: int) -> Array:
     """Returns coordinates in which the inputs and the disturbance affect all states equally, with the block structure of (12).
 
-    The coordinates are the square root of a controllability Gramian, block by block. A is shifted until all its modes decay.
-    The shift does not depend on the coordinates, so the result does not depend on them either.
+    The coordinates are the square root of a controllability Gramian, block by block. For the Gramian, A is shifted so far that
+    all modes decay. The shift does not depend on the coordinates, so the result does not depend on them either.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
     balanced = plant.in_coordinates(np.diag(diagonal))
-    A = balanced.A / size(balanced.A)  # dimensionless, so that the unit of time has no influence
+    A = balanced.A / size(balanced.A)  # A is made dimensionless, so that the unit of time has no influence
     poles = np.linalg.eigvals(A)
     shift = 1.0 if are_integrators(A) else poles.real.max() + np.abs(poles).max()
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
     gramian = linalg.solve_continuous_lyapunov(A - shift * np.eye(n), -inputs @ inputs.T)
-    gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # keeps a finite scale for states that are hardly affected
+    # This term keeps the scale finite for states that inputs and disturbance hardly affect
+    gramian += 1e-5 * np.trace(gramian) * np.eye(n)
     blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
     return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
 
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the entries of a plant and of C_y are near 1, independent of the given units.
+    """Units in which the entries of a plant and of C_y are near 1. These units do not depend on the given units.
 
     The units are powers of two, so that conversion in either direction causes no rounding.
 
     Attributes:
-        states: own unit of each state, expressed in the given unit, shape (n,).
-        inputs: own unit of each input, expressed in the given unit, shape (m,).
+        states: unit of each state in which entries are near 1, expressed in the given unit, shape (n,).
+        inputs: unit of each input in which entries are near 1, expressed in the given unit, shape (m,).
         exact: units before rounding to powers of two, shapes (n,) and (m,); independent of the given units.
-        rate: rate of the plant [rad/s]. The unit of time does not change.
+        rate: rate of the plant [rad/s]. The units do not change the unit of time.
     """
 
     states: Array
@@ -59,15 +60,15 @@ class OwnUnits:
     rate: float
 
     def into(self, plant: Plant) -> Plant:
-        """Converts a plant from the given units to the own units."""
+        """Converts a plant from the given units to these units."""
         return _in_units(plant, self.states, self.inputs)
 
     def back(self, plant: Plant) -> Plant:
-        """Converts a plant from the own units to the given units."""
+        """Converts a plant from these units to the given units."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
     def rows(self, Cy: Array) -> tuple[Array, Array]:
-        """Returns C_y in the own units of the states as a product S V, where V has orthonormal rows.
+        """Returns C_y, in these units of the states, as a product S V, where V has orthonormal rows.
 
         A design depends only on the span of the rows. Nearly dependent rows would lose digits in every product. A design
         therefore uses V, and inverts S only once, at the end.
@@ -82,10 +83,15 @@ class OwnUnits:
 
 
 def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
-    """Returns V and S with rows = S V. V has orthonormal rows that do not depend on the units, and S is lower triangular."""
-    lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # powers of two, so that rounding does not depend on the units
+    """Decomposes a matrix of rows into S V.
+
+    The rows of V are orthonormal and do not depend on the units, and S is lower triangular.
+    """
+    # Lengths are rounded to powers of two, so that rounding errors do not depend on the units
+    lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))
     basis, triangle = np.linalg.qr((rows / lengths[:, None]).T)
-    signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # makes the diagonal positive, so that the result is unique
+    # These signs make the diagonal positive, so that the result is unique
+    signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)
     return (basis * signs).T, lengths[:, None] * (signs[:, None] * triangle).T
 
 
@@ -103,38 +109,44 @@ def independent(rows: Array) -> list[int]:
 
 
 def unit_rows(Cy: Array) -> tuple[Array, Array]:
-    """Returns the rows scaled to length 1, and their lengths, shape (q,). The unit of one row then cannot hide another row."""
+    """Returns the rows scaled to length 1, and their lengths, shape (q,).
+
+    After this scaling, no row is negligible because of its unit.
+    """
     lengths = np.linalg.norm(Cy, axis=1)
     return Cy / lengths[:, None], lengths
 
 
-@functools.lru_cache(maxsize=4)  # a design needs the units often, and plants do not change
+@functools.lru_cache(maxsize=4)  # results are cached because a design needs the units often, and plants do not change
 def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
-    """Returns the plant's own units of states and inputs, and its rate.
+    """Returns units of states and inputs in which the plant's entries are near 1, and the rate of the plant.
 
     The units result from a least-squares fit to the logarithms of all nonzero entries. The units of disturbances, outputs and
-    measurements are free in this fit, too. `balance` would ignore states that do not both drive other states and depend on
-    them. A norm has one unit for all of w, and one unit for all of z. These two units decide only if nothing else determines
-    the speed of the plant. For example, integrators have the rate at which motion and driving force have the same weight in z.
+    measurements are also unknowns of this fit. The function `balance` would ignore states that do not drive other states, or do
+    not depend on them. A norm requires one unit for all disturbances w, and one unit for all outputs z. These two units affect
+    the result only if nothing else determines the speed of the plant. For example, integrators have the rate at which motion
+    and driving force have the same weight in z.
 
-    The pattern of zeros may leave some units undetermined. Such a unit is kept as given; units of the disturbance are
-    preferred. As a result, the same plant in other units, each a power of two, is identical in its own units bit for bit.
+    The pattern of zeros may leave some units undetermined. Undetermined units are kept as given, preferably those of the
+    disturbance. As a result, a plant that is given in two sets of units, which differ by powers of two, is identical bit for
+    bit after conversion.
 
     Args:
-        plant: plant with n states. For a discrete plant, the units are those of its differences.
+        plant: plant with n states. For a discrete plant, the units are those of `Plant.differences`.
         measured: True to include C_y.
     """
     Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
-    # Rows: change of x, then z, then y. Columns: x, u, w.
+    # The rows are the change of x, then z, then y. Columns: x, u, w.
     whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])
     i, j = np.nonzero(whole)
     columns, unknowns = n + m + r, n + m + r + d + q + 1
     changes = i < n
     # An entry is multiplied by the unit of its column. An entry in a row of x is divided by the unit of this state and by the
-    # rate. Every equation thus has three coefficients. The normal equations contain their products in pairs.
+    # rate. Every equation thus has three coefficients. The normal equations contain the products of pairs of these
+    # coefficients.
     where = np.stack([j, np.where(changes, i, columns + i - n), np.full(len(i), unknowns - 1)], axis=1)
-    own = np.where(i == j, 0.0, 1.0)  # the effect of a state on itself depends only on the rate
+    own = np.where(i == j, 0.0, 1.0)  # the effect of a state on itself depends only on the rate, not on a unit
     what = np.stack([np.where(changes, own, 1.0), np.where(changes, -own, 1.0), np.where(changes, -1.0, 0.0)], axis=1)
     pairs, products = where[:, :, None] * unknowns + where[:, None], what[:, :, None] * what[:, None]
     normal = np.bincount(pairs.ravel(), products.ravel(), unknowns**2).reshape(unknowns, unknowns)
@@ -159,13 +171,13 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
     """Returns the least-squares solution, in which some of the undetermined unknowns are 0.
 
     Among equally undetermined unknowns, the first one is set to 0. In a connected plant, all units except the rate are equally
-    undetermined. Rounding must not choose among them. Rounding differs between machines, and an extreme unit might then
-    determine all other units.
+    undetermined. Rounding errors must not decide which of them is set to 0. Rounding errors differ between machines, and an
+    extreme unit might then determine all other units.
 
     Args:
         normal: matrix of the normal equations, shape (N, N).
         right: right-hand side of the normal equations, shape (N,).
-        first: indices of all unknowns, in the order in which they are preferred as 0, shape (N,).
+        first: indices of all unknowns, in the order of preference for setting them to 0, shape (N,).
     """
     sizes, directions = np.linalg.eigh(normal)
     fixed = sizes > OPEN * sizes[-1]
@@ -180,10 +192,10 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
 
 
 def speed(plant: Plant) -> tuple[float, bool]:
-    """Returns the plant's own speed [rad/s], and whether this is the speed of its fastest pole.
+    """Returns the speed of the plant [rad/s], and True if this is the speed of its fastest pole.
 
-    If all poles are at 0, the speed is the plant's own rate, and the second value is False. Poles of weighting filters do not
-    count. For a discrete plant, the speed of a mode is its change per sample divided by dt.
+    If all poles are at 0, the speed is the plant's rate (see `own_units`), and the second value is False. Poles of weighting
+    filters do not count. For a discrete plant, the speed of a mode is its change per sample divided by dt.
     """
     plant = plant.differences
     n = len(plant.A) - plant.weights
@@ -194,7 +206,7 @@ def speed(plant: Plant) -> tuple[float, bool]:
 
 def _speed(plant: Plant) -> tuple[float, bool]:
     A = plant.A
-    # The sum of all squared poles is compared with the sum of the absolute terms. Units change neither of them.
+    # The sum of all squared poles is compared with the sum of the absolute terms. Both sums do not depend on the units.
     if abs(np.sum(A * A.T)) <= CANCELLED_SUM * np.sum(np.abs(A * A.T)):
         own = own_units(plant)
         if are_integrators(own.into(plant).A):
@@ -203,7 +215,7 @@ def _speed(plant: Plant) -> tuple[float, bool]:
 
 
 def are_integrators(A: Array) -> bool:
-    """Returns True if all poles are at 0 up to rounding. The entries of A must have similar size."""
+    """Returns True if all poles are at 0 up to rounding. This test requires that the entries of A have similar sizes."""
     n = len(A)
     return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 

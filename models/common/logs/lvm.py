@@ -1,9 +1,9 @@
 """Measurement files of LabVIEW (.lvm) as tables of numbers.
 
-Format: National Instruments, Specification for the LabVIEW Measurement File. The header of the file ends with
-`***End_of_Header***`, and so does the header of each segment, which has a column for each channel. A line of names and the
-numbers follow. The entry `X_Columns` is "One" if the first column contains times, and "Multi" if each channel has its own
-column of times. It is "No" if only `X0` and `Delta_X` give the times.
+Format: National Instruments, Specification for the LabVIEW Measurement File. The header of the file, and the header of each
+segment, end with `***End_of_Header***`. The header of a segment has a column for each channel. After the header of a segment,
+there are a line of names and the lines of numbers. The entry `X_Columns` is "One" if the first column contains times, and
+"Multi" if each channel has its own column of times. The entry is "No" if the times are given only by `X0` and `Delta_X`.
 """
 
 from models.common.errors import InputError, short_repr
@@ -13,7 +13,7 @@ TIME = "time [s]"
 
 
 def lvm_text(text: str) -> str:
-    """Returns the numbers of a LabVIEW file under headings with units, with the line numbers of the file.
+    """Returns the numbers of a LabVIEW file under headings with units, and the number of each row's line in the file.
 
     Comments in rows are omitted.
 
@@ -26,7 +26,7 @@ def lvm_text(text: str) -> str:
         raise InputError(f"the LabVIEW file has no line {END}; export the whole file")
     about = {words[0]: words[1] for line in lines[: ends[0]] if len(words := line.replace(",", "\t", 1).split("\t")) > 1}
     mark = {"comma": ",", "semicolon": ";"}.get(about.get("Separator", "").strip().lower(), "\t")
-    if len(ends) == 1:  # only the file has a header
+    if len(ends) == 1:  # the file has a header, but the segment does not
         return "\n".join(["", *[""] * ends[0], *lines[ends[0] + 1 :]])
     rows = [[cell.strip() for cell in line.split(mark)] for line in lines[ends[0] + 1 : ends[1]]]
     segment = {name: cells for name, *cells in rows}

@@ -1,7 +1,7 @@
 """Measured logs: columns over time whose names are signal names, from any table of numbers (`models.common.table`).
 
 A heading may contain the words of a signal name in any case and order: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection
-[mm]`. Cells may be empty, and the sample rate may vary.
+[mm]`. Cells of the log may be empty, and the sample rate may vary.
 """
 
 import re
@@ -36,7 +36,7 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of samples that are omitted because their time equals the time before, as times are rounded.
+        rounded: number of omitted samples, whose time equals the previous time because times in the file are rounded.
     """
 
     source: str
@@ -64,14 +64,15 @@ def read_measured_log(
 ) -> MeasuredLog:
     """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4 or .mcap.
 
-    Times of day, and times that follow from the sample rate, are relative to the first sample.
+    Times of day are converted to times since the first sample. If the sample rate determines the times, they also start at the
+    first sample.
 
     Args:
         path: path of the file.
         units: SI unit of each signal that may be read, by name.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
-        columns: heading in the file for each signal that has another name there, by name of the signal. If the file gives no
-            unit, the heading may contain it.
+        columns: headings of signals that have another name in the file, by name of the signal. If the file gives no unit, the
+            heading may contain it.
 
     Returns:
         The measured signals in SI units, with their times.
@@ -135,7 +136,7 @@ def read_measured_log(
 
 
 def is_time(heading: Heading) -> bool:
-    """Returns True for a column of times. LabVIEW calls such a column X_Value."""
+    """Returns True for a column of times, including LabVIEW's name for such a column, X_Value."""
     named = "time" in {NAMES.get(word) for word in heading.words} or heading.name.lower() == "x_value"
     return named and (not heading.unit or unit_size(heading.unit, "s") is not None)
 
@@ -157,7 +158,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         given = heading_of(columns[name], (unit,)) if name in columns else Heading(name, name)
         keys = {name_key(given.name), name_key(given.text)}
         ones = [one for one in headings if {name_key(one.name), name_key(one.text)} & keys]
-        if name in columns:  # brackets with other content belong to the name
+        if name in columns:  # brackets that do not contain a unit belong to the name
             known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
@@ -178,7 +179,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
 
 
 def _scale(heading: Heading, si: str, name: str) -> float:
-    """Returns the size of a column's unit in the unit of its signal.
+    """Returns the factor that converts a column from its own unit to the unit of its signal.
 
     Raises:
         InputError: the unit is unknown, or belongs to another quantity.

@@ -1,7 +1,7 @@
-"""Recordings with several clocks as one table: MCAP files of others (channels in JSON), and MDF4 files of measuring systems.
+"""Recordings with several clocks as one table: MCAP files with channels in JSON, and MDF4 files of measuring systems.
 
-The columns have the times of the clock with the most samples. Columns of other clocks follow straight lines between their
-samples, and have no value outside them.
+The columns have the times of the clock with the most samples. Columns of other clocks are interpolated linearly between their
+samples, and have no value outside their time range.
 """
 
 import json
@@ -22,7 +22,7 @@ CLOCKS = frozenset(("time", "timestamp", "stamp", "t"))  # fields of a message t
 
 
 def mdf_rows(path: Path) -> list[Sequence[Any]]:
-    """Returns headings with units, and the numbers of all channels of an MDF4 file.
+    """Returns the headings with units, and the recorded values, of all channels in an MDF4 file.
 
     Raises:
         InputError: the package for these files is not installed, or the file is not one, or has no numbers.
@@ -43,15 +43,16 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
                         name = one.name.replace("/", ".")
                         key = f"{name} [{one.unit}]" if one.unit else name
                         columns.setdefault(key, (one.timestamps, one.samples.astype(float)))
-    except Exception as error:  # of any of its parsers
+    except Exception as error:  # any parser of the package can raise its own type of error
         raise InputError(f"it is not an MDF4 file, or is damaged ({error}); export it again") from error
     return _rows(columns, "the file has no channel of numbers; export channels over time")
 
 
 def mcap_rows(path: Path) -> list[Sequence[Any]]:
-    """Returns headings `topic.field`, and the numbers of all channels in JSON of an MCAP file.
+    """Returns the headings `topic.field`, and the recorded values, of all JSON channels in an MCAP file.
 
-    Times are fields `time`, `timestamp`, `stamp` or `t` [s] if all channels have one, else the times of the log.
+    If every channel has a field `time`, `timestamp`, `stamp` or `t` [s], these fields give the times. Otherwise, the log times
+    of the messages are used.
 
     Raises:
         InputError: the file is not MCAP, is damaged, or has no numbers in JSON.
@@ -98,7 +99,7 @@ def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _rows(columns: dict[str, tuple[Array, Array]], without: str) -> list[Sequence[Any]]:
-    """Returns headings and rows of columns, each with its own times; `without` is the message without any."""
+    """Returns headings and rows of columns that have their own times; `without` is the message if there are no columns."""
     if not columns:
         raise InputError(without)
     clock = np.unique(max((time for time, _ in columns.values()), key=len))

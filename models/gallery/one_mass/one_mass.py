@@ -1,10 +1,13 @@
-"""Mass on a spring and a force actuator, both on the road. With one degree of freedom, optimal laws have closed forms."""
+"""Mass that is connected to the road by a spring and a force actuator.
+
+With one degree of freedom, optimal laws have closed forms.
+"""
 
 import numpy as np
 
 from models import GRAVITY, LinearModel, Parameter, Suspension, VehicleKind, Wheel, signals
 
-FREE = 0.6  # m, height of the mass above the road in equilibrium
+FREE = 0.6  # height of the mass above the road in equilibrium [m]
 STATES = (signals.SUSPENSION_DEFLECTION.name, signals.SPRUNG_VELOCITY.name)
 OUTPUTS = (signals.SUSPENSION_DEFLECTION, signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION, signals.CONTROL_FORCE)
 

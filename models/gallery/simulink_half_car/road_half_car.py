@@ -1,7 +1,7 @@
 """Half-car whose suspensions are directly on the road, without wheels: the second example of a custom vehicle type.
 
-The equations are those of Simulink's demonstration of a half-car. Its springs act between road and body, its dampers only on
-the motion of the body.
+The equations are those of Simulink's demonstration of a half-car. The springs act between road and body. The dampers act only
+on the motion of the body.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ VELOCITIES = tuple(signals.ROAD_VELOCITY.at(axle) for axle in AXLES)
 HEAVE = signals.Signal("heave_displacement", "z", "m", "height of the body's centre of mass over a level road, up")
 STATES = (*GAPS, signals.HEAVE_VELOCITY, signals.PITCH_RATE)
 OUTPUTS = (*STATES, signals.HEAVE_ACCELERATION, signals.PITCH_ACCELERATION, HEAVE, *FORCES)
-FREE = 0.8  # m, height of the body above the road in equilibrium
+FREE = 0.8  # height of the body above the road in equilibrium [m]
 
 
 def arms(p):
@@ -32,12 +32,13 @@ def wheelbase(p):
 def linear_model(p):
     """Returns the linear model: 4 states, 2 forces [N], 2 roads [m/s], 9 output signals."""
     springs, dampers = (np.diag([2 * p[f"{part}_{axle}"] for axle in AXLES]) for part in ("stiffness", "damping"))
-    ends = np.column_stack([[1, 1], -arms(p)])  # from heave and pitch (nose down) to the heights at both ends of the body
+    # Matrix from heave and pitch (nose down) to the heights at both ends of the body
+    ends = np.column_stack([[1, 1], -arms(p)])
     inverse = np.diag([1 / p["mass"], 1 / p["pitch_inertia"]])
     A = np.block([[np.zeros((2, 2)), ends], [-inverse @ ends.T @ springs, -inverse @ ends.T @ dampers @ ends]])
     B = np.vstack([np.zeros((2, 2)), inverse @ ends.T])
     Bw = np.vstack([-np.eye(2), np.zeros((2, 2))])
-    share = np.linalg.inv(ends)[0]  # shares of the heights at both ends in the height of the centre of mass
+    share = np.linalg.inv(ends)[0]  # factors of the heights at both ends in the height of the centre of mass
     height = np.concatenate([share, [0, 0]])
     C = np.vstack([np.eye(4), A[2:], height, np.zeros((2, 4))])
     D = np.vstack([np.zeros((4, 2)), B[2:], np.zeros((1, 2)), np.eye(2)])

@@ -1,4 +1,4 @@
-"""Bouc-Wen hysteresis (Y. K. Wen, 1976): model of a bushing, a wire-rope isolator or a simple magnetorheological damper.
+"""Bouc-Wen hysteresis (Y. K. Wen, 1976), which models a bushing, a wire-rope isolator or a simple magnetorheological damper.
 
     F = k0 d + c0 v + alpha z,    z' = A v - beta |v| |z|^(n-1) z - gamma v |z|^n.
 

@@ -6,12 +6,12 @@ piston:
     F = W - (p - p_a) A,    p = p_0 (V_0 / V)^n,    p_0 = p_a + W / A,    V = V_0 + A d.
 
 The polytropic exponent n is 1 for slow motion at constant temperature, and 1.4 for fast motion of air or nitrogen. The
-stiffness at equilibrium is n p_0 A^2 / V_0 (J. Reimpell, H. Stoll, J. W. Betzler, The Automotive Chassis, 2nd ed., section
-5.3).
+stiffness in equilibrium is n p_0 A^2 / V_0, where p_0 is the gas pressure in equilibrium (J. Reimpell, H. Stoll, J. W. Betzler,
+The Automotive Chassis, 2nd ed., section 5.3).
 
-At another temperature T, the load and the pressure in equilibrium stay the same. A level
-control with oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas changes: V_0 is the volume in
-the file times T / T_0.
+At another temperature T, the load and the pressure in equilibrium stay the same. The model assumes that a level control with
+oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas therefore changes: V_0 is the volume in the
+file times T / T_0.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from models.parts.part import Line, Number, Part
 
 ATMOSPHERE = 101325.0  # Pa
 USUAL = 293.15  # K
-NARROWEST = 0.02  # smallest volume relative to that in equilibrium; a real spring reaches its stop before
+NARROWEST = 0.02  # smallest volume relative to the volume in equilibrium; a real spring reaches its stop before
 DRAWN_SHARE = 0.5  # largest deflection of the drawn characteristic, relative to the length of the gas column in equilibrium
 
 
@@ -69,7 +69,10 @@ class GasSpring(Part, Section):
         return float(DRAWN_SHARE * np.min(self.column))
 
     def _inside(self, d: Array) -> Array:
-        """Returns the deflections [m], limited to the smallest volume. The pressure does not rise beyond this limit."""
+        """Returns the deflections [m], limited to the smallest volume.
+
+        Below this volume, the pressure does not rise further.
+        """
         return np.maximum(d, (NARROWEST - 1) * self.column)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -77,7 +80,7 @@ class GasSpring(Part, Section):
         return -self.whole * np.expm1(-self.exponent * np.log1p(self._inside(d) / self.column))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`. The energy is that of the gas, minus the work of the load and of the atmosphere."""
+        """See `Part.stored`. The energy is the energy of the gas minus the work of the load and of the atmosphere."""
         inside, m = self._inside(d), np.maximum(self.exponent - 1, 1e-12)
         stored = self.whole * (inside + self.column * np.expm1(-m * np.log1p(inside / self.column)) / m)
         return stored + self.pull(d, np.zeros(())) * (d - inside)

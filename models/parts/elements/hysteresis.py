@@ -1,19 +1,19 @@
 """Hysteresis of Bouc and Wen: a force alpha z whose state z first follows the travel and then saturates.
 
-With the velocity w across the hysteretic element,
+If w is the velocity across the hysteretic element,
 
     z' = A w - b |w| |z|^(n-1) z - g w |z|^n,    |z| <= z_max = (A / (b + g))^(1/n).
 
-Motion away from z = 0 dissipates energy. Motion back to z = 0 returns the energy
+Motion away from z = 0 dissipates energy. Motion back to z = 0 returns the stored energy
 
     alpha S(z),    S = integral of x / (A + (b - g) x^n) from 0 to |z|.
 
 A parameter c with a key `..._per_volt` has the value c + c_per_volt u at a voltage u. This includes alpha. A change of the
 voltage therefore changes the stored energy alpha S(z); the coil supplies the difference.
 
-In the linearisation at equilibrium, z - A d is constant, where d is the travel. This is a mode without decay. No force excites
-this mode, but controller design needs modes that decay. Linear analysis therefore assigns the eigenvalue -`DECAY` to this mode,
-which does not change any response from equilibrium.
+In the linearisation at equilibrium, z - A d is constant, where d is the travel. This constant difference is a mode without
+decay. No force excites this mode, but controller design needs modes that decay. Linear analysis therefore assigns the
+eigenvalue -`DECAY` to this mode, which does not change any response from equilibrium.
 """
 
 from abc import abstractmethod
@@ -30,7 +30,8 @@ from models.common.schema import SI
 from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 
 DECAY = 100.0  # 1/s
-FAST, FASTEST = 1.0, 2.0  # m/s: velocities of a damper for its largest force, and for the largest rate of its state
+# Velocities [m/s] at which the largest force of a damper, and the largest rate of its state, are computed
+FAST, FASTEST = 1.0, 2.0
 
 Voltage = Annotated[
     float, SI("V", "voltage, constant or without a command; or a current in A, if the other numbers are per ampere", 0.0)
@@ -46,8 +47,8 @@ class Hysteretic(Part):
 
     Attributes:
         friction: True for a friction, which linear analysis omits.
-        by_voltage: names of the parameters that depend on the voltage; the first is the force per z.
-        voltage: constant voltage, or voltage without a command [V].
+        by_voltage: names of the parameters that depend on the voltage; the first parameter is the force per unit of z.
+        voltage: constant voltage, or voltage when the controller gives no command [V].
         largest_voltage: largest voltage that a controller sets [V]; None for a constant voltage.
         bandwidth: corner frequency of the lag of the voltage [rad/s]; None for a voltage without lag.
     """
@@ -82,7 +83,8 @@ class Hysteretic(Part):
 
     def at_voltage(self, u: Array | float = 0.0) -> tuple[Any, ...]:
         """Returns the values of the parameters `by_voltage` at voltages u relative to `voltage` [V]."""
-        if isinstance(u, float) and not u:  # constant voltage: this runs in each stage of a step
+        # Shortcut for a constant voltage, because this code runs in each stage of a time step
+        if isinstance(u, float) and not u:
             return self._without_command
         return self._at(self.voltage + u)
 
@@ -91,7 +93,7 @@ class Hysteretic(Part):
 
     @cached_property
     def _voltage_lines(self) -> tuple[tuple[Number, Number], ...]:
-        """Value at 0 V of each parameter in `by_voltage`, and its change per volt."""
+        """Value of each parameter in `by_voltage` at 0 V, and its change per volt."""
         return tuple((getattr(self, name), getattr(self, f"{name}_per_volt")) for name in self.by_voltage)
 
     @cached_property
@@ -105,7 +107,7 @@ class Hysteretic(Part):
 
     @abstractmethod
     def springs(self, d: Array, z: Array) -> Array | float:
-        """Returns the stored energy without that of the hysteresis [J], shape (...)."""
+        """Returns the stored energy without the energy of the hysteresis [J], shape (...)."""
 
     def after_yield(self, v: Array, u: Array | float = 0.0) -> Array:
         """Returns the force at constant velocities [m/s], without the force of springs [N], shape (...)."""
@@ -128,7 +130,7 @@ class Hysteretic(Part):
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.rate`.
 
-        This version is for a part without other states, whose velocity is the velocity across the element.
+        This version is for a part without other states: the velocity of the part is the velocity across the hysteretic element.
         """
         return self.evolution(v, z[..., 0])[..., None]
 
@@ -146,7 +148,7 @@ class Hysteretic(Part):
     def storing(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
         """Returns the rate of the stored energy at constant voltages [W], shape (...).
 
-        The rest of `pull` times v is dissipated.
+        The rest of the power `pull` times v is dissipated.
         """
         A, b, g, n = self.law
         rates, own = self.rate(d, v, z, u), z[..., -1]
@@ -157,7 +159,7 @@ class Hysteretic(Part):
     def line(self) -> Line:
         """See `Part.line`.
 
-        It includes the mode with the eigenvalue -`DECAY`. For a friction, the hysteretic force is omitted.
+        The linearisation includes the mode with the eigenvalue -`DECAY`. For a friction, it omits the hysteretic force.
         """
         line, n = super().line, len(self.states)
         assert line.of_states is not None
@@ -172,7 +174,7 @@ class Hysteretic(Part):
 
     @property
     def kinked_at_rest(self) -> bool:
-        """True, because the rate of z depends on the sign of the velocity even for the smallest motion."""
+        """True, because the rate of z depends on the sign of the velocity even if the motion is very small."""
         return True
 
     @property
@@ -180,16 +182,19 @@ class Hysteretic(Part):
         return float(self.after_yield(np.array(FAST)))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the limit of the linear range: the share `LEAVES` of the largest force."""
+        """Returns the limit of the linear range: a deviation of the force by the share `LEAVES` of the largest force."""
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.range else ()
 
     @property
     def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.fastest`. The rate is largest while z approaches its limit, or while it returns from there."""
+        """See `Part.fastest`. The rate is largest while z approaches its limit, or while z returns from the limit."""
         _, b, g, n = self.law
         return float(max(b + g, abs(b - g)) * n * self.z_max ** (n - 1) * FASTEST)
 
 
 def _magnitude(x: Array) -> Array:
-    """Returns |x|. For a complex step, the sign is that of the real part, so that the derivative is correct."""
+    """Returns |x|.
+
+    For a complex x, as in a complex-step derivative, the sign is the sign of the real part, so that the derivative is correct.
+    """
     return np.abs(x) if np.isrealobj(x) else np.where(np.real(x) < 0, -x, x)

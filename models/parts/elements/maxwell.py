@@ -1,6 +1,6 @@
 """Maxwell element: a spring in series with a damper, as in a top mount, or in a damper with elastic bushings.
 
-The spring has the extension x, and the damper has the velocity v - x'. Both have the same force,
+The spring has the extension x, and the damper has the velocity v - x'. Spring and damper have the same force,
 
     F = k x = c (v - x').
 """

@@ -1,7 +1,7 @@
 """Bump stops of a suspension: `[limits] suspension_stroke` and `stop_stiffness`.
 
-A stop begins at the end of its stroke and then pushes back, see `models.parts.stops.stop`. A spring of MuJoCo can have a dead
-band and a polynomial force, so it can represent a stop without a table.
+A stop touches when its stroke is used up, and then pushes back; see `models.parts.stops.stop`. A spring of MuJoCo can have a
+dead band and a polynomial force, so it can represent a stop without a table.
 """
 
 import math
@@ -33,7 +33,7 @@ class Stops(Part):
 
     @property
     def sides(self) -> dict[str, tuple[float, Stop]]:
-        """Sign of the deflection and stop of each side that has a stop, by name of the side (`SIDES`)."""
+        """Sign of the deflection, and the stop, for each side that has a stop, by name of the side (`SIDES`)."""
         both = zip(SIDES, ((-1.0, self.bump), (1.0, self.rebound)), strict=True)
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
@@ -62,8 +62,8 @@ class Stops(Part):
     def write(self, tendon: Tendon) -> None:
         """Writes the stops as springs whose dead band is the stroke, or as segments of a table. See `Part.write`.
 
-        If both sides have the same odd force (no x^2 term), one spring represents both. Otherwise each side has a spring that
-        is slack on the other side.
+        If both sides have the same odd force (no x^2 term), one spring represents both. Otherwise, each side has a spring that
+        is slack while the suspension is deflected to the other side.
         """
         bump, rebound = self.bump.stiffness, self.rebound.stiffness
         low, high = tendon.rest - self.bump.stroke, tendon.rest + self.rebound.stroke
@@ -78,7 +78,7 @@ class Stops(Part):
                 tendon.add_pieces(f"stop_{side}", pieces)
             else:
                 first, second, third = stop.stiffness
-                # Beyond the end of the bump stroke, x of the spring is negative.
+                # Beyond the bump stroke, the argument x of the MuJoCo spring is negative.
                 slack = (low, SLACK) if sign < 0 else (-SLACK, high)
                 tendon.add_spring(f"stop_{side}", slack, (first, sign * second, third))
 

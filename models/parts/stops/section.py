@@ -9,12 +9,12 @@ from models.common.errors import InputError, short_repr
 from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema
 
-MOST = 3  # number of coefficients; MuJoCo's polynomial springs also have three
+MOST = 3  # largest number of coefficients; MuJoCo's polynomial springs also have three
 
 
 @dataclass(frozen=True)
 class StopPair:
-    """Different values for bump and rebound. None is the value of a side without a stop."""
+    """Different values for bump and rebound. The value of a side without a stop is None."""
 
     bump: Any
     rebound: Any

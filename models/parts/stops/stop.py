@@ -1,16 +1,17 @@
-"""Bump stops in `[limits]` of a vehicle file: linear or progressive, for both sides or each side, per corner or axle.
+"""Bump stops in `[limits]` of a vehicle file: linear or progressive, equal or different on both sides, per corner or axle.
 
-A stop begins at the end of its stroke. If it is compressed by x, it pushes back with x (k_1 + k_2 x + k_3 x^2), because the
-stiffness of rubber grows with compression. One number is the stiffness of a linear stop. A list of up to three numbers
-describes a progressive stop, and a table gives the force at each point. The form {bump, rebound} gives a value for each side;
-an omitted side has no stop.
+A stop touches when the suspension has travelled its stroke. A stop that is compressed by x pushes back with the force x (k_1 +
+k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. A single number is the stiffness of a linear stop. A
+list of up to three numbers describes a progressive stop, and a table gives the force at each point. The form {bump, rebound}
+gives a value for each side; an omitted side has no stop.
 
-If a side has a stroke, the argument of its table is the compression of the stop. Otherwise the argument is the compression of
-the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions of the table, if it has any.
+If the file gives a stroke for a side, the argument of the table is the compression of the stop. Otherwise the argument is the
+compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions, if the table
+has any.
 
 A section of `[limits]` has the name of a corner, or the common beginning of several names: `rear` means rear_left and
-rear_right. A key that is missing in a section is taken from the section for more corners. For example, `[limits.rear]` may have
-its own stroke and use the common stiffness.
+rear_right. A key that is missing in a section is taken from the section for more corners. For example, `[limits.rear]` may
+define a stroke for the rear axle, and use the common stiffness.
 """
 
 import math
@@ -30,8 +31,8 @@ from models.parts.stops.section import MOST, StopPair, StopSection
 if TYPE_CHECKING:
     from models.characteristics.curve import ForceCurve
 
-SLACK = 1e3  # m; larger strokes are not allowed, because no suspension has that much travel
-ROUNDING = 1e-9  # relative to the largest force of a table; smaller forces count as 0
+SLACK = 1e3  # largest stroke [m]; larger strokes are not allowed, because no suspension has that much travel
+ROUNDING = 1e-9  # smaller forces, relative to the largest force of a table, count as 0
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
 
     Raises:
-        InputError: the stop touches in equilibrium, begins at another travel than the stroke, or has a force that pulls.
+        InputError: the stop touches in equilibrium, touches at another travel than the stroke, or has a force that pulls.
     """
     u, force = np.array(table.compression), np.array(table.force)
     if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):
@@ -129,7 +130,7 @@ class Stop:
         return isinstance(self.stiffness, StopTable) or any(self.stiffness)
 
     def at_wheel(self, ratio: float) -> "Stop":
-        """Returns the equivalent stop at the wheel: r times the force at r times the compression, with the motion ratio r."""
+        """Returns the equivalent stop at the wheel for the motion ratio r: r times the force at r times the compression."""
         law = self.stiffness
         if isinstance(law, StopTable):
             both = (law.compression, 1 / ratio), (law.force, ratio)
@@ -218,7 +219,7 @@ def read_stop_table(value: Mapping[str, Any]) -> StopTable:
     if not force.any():
         raise InputError(f"{HERE} has a table without a force that resists bump or rebound")
     if x[-1] < 0 and not force[-1]:
-        x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop whose table begins with the contact
+        x, force = np.append(x, 0.0), np.append(force, 0.0)  # the table of a rebound stop begins at the contact
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
     with error_in(f"{HERE}:"):
         # Raises an InputError if the table cannot be approximated by few enough segments
@@ -301,7 +302,7 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
 def _corner_key(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
     """Returns the value of a key for the stops of a corner; None if no section has the key.
 
-    If several sections have the key, the section for the fewest corners counts.
+    If several sections have the key, the value of the section for the fewest corners is used.
     """
     values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
     return values.get(max(values, key=len, default=""))

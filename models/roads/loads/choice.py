@@ -44,14 +44,14 @@ class History(Load):
 
     @property
     def text(self) -> str:
-        """Name of the file and all numbers, exact, as rows of a CSV file separated by `;`."""
+        """Text with the name of the file and all numbers, exact, as rows of a CSV file that are separated by `;`."""
         heading = ",".join(["time [s]", *(f"{name} [{'N' if name == 'heave' else 'N m'}]" for name in self.columns)])
         rows = zip(self.time.tolist(), *(column.tolist() for column in self.columns.values()), strict=True)
         return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])
 
     @property
     def content(self) -> str:
-        """All numbers, without the name of the file."""
+        """Text with all numbers, without the name of the file."""
         return self.text.partition(";")[2]
 
     @property
@@ -74,7 +74,7 @@ class History(Load):
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the means over the steps, because a step may contain several points; see `Load`."""
+        """Returns the mean load over each time step, because a step may contain several points of the table; see `Load`."""
         return {
             NAMES[name]: means(lambda at, column=column: np.interp(at, self.time, column), self.time, t, timestep)
             for name, column in self.columns.items()

@@ -7,9 +7,10 @@ are up, nose down and right side down. For a sprung mass m_s with its centre of 
     braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
     payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
-The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight, not inertia. By
+The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. By
 default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
-(`models/kinds/links.py`). Their share of braking, cornering and gusts, and the inertia of the wheels, then act on the wheels.
+(`models/kinds/links.py`). The links' share of braking, cornering and gust loads, and the inertia of the wheels, then act as
+loads on the wheels.
 """
 
 import math
@@ -52,7 +53,7 @@ class Load(ABC):
 
     @property
     def label(self) -> str:
-        """The text for output; only the file name for a load from a file."""
+        """The text that commands print; for a load from a file, only the file name."""
         return self.text
 
     @property
@@ -72,7 +73,8 @@ class Load(ABC):
         Args:
             t: times [s].
             p: parameters of the vehicle [SI], by name.
-            kind: vehicle type, whose links may transmit part of the load to the wheels; None for the force and moments alone.
+            kind: vehicle type, whose links may transmit part of the load to the wheels; None for only the force and its
+                moments.
         """
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -120,7 +122,7 @@ class RampedLoad(Section, Load):
 
     @property
     def text(self) -> str:
-        """Type and numbers of the load; an infinite hold is omitted."""
+        """Text with the type and numbers of the load; an infinite hold is omitted."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return ":".join([self.kind, *(f"{name}={value!r}" for name, value in given.items() if value != math.inf)])
 
@@ -141,7 +143,7 @@ class RampedLoad(Section, Load):
         return None
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the amplitudes times the time function; see `Load`."""
+        """Returns the amplitudes of the load times its function of time; see `Load`."""
         full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
         if kind is not None and pushing is not None:
             for name, value in kind.carried(p, *pushing).items():
@@ -189,7 +191,7 @@ class _Inertial(RampedLoad):
 
 @dataclass(frozen=True)
 class Brake(_Inertial):
-    """Braking. A negative deceleration is an acceleration, at which the body squats."""
+    """Braking. A negative deceleration is an acceleration, during which the body squats."""
 
     kind: ClassVar[str] = "brake"
     way: ClassVar[str] = PITCH
@@ -269,7 +271,10 @@ class Lift(_PlacedLoad):
 
 @dataclass(frozen=True)
 class Gust(RampedLoad):
-    """Gust of wind from the left, which rolls the body to the right. By default, it is one period of a cosine."""
+    """Gust of wind from the left, which rolls the body to the right.
+
+    By default, the gust has the shape of one period of a cosine.
+    """
 
     kind: ClassVar[str] = "gust"
     size: ClassVar[str] = "force"
@@ -289,7 +294,7 @@ class Gust(RampedLoad):
         return {ROLL: self.force * self.height}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the force of the wind. It acts on the body, not on the wheels."""
+        """Returns the force of the wind. The wind acts on the body, not on the wheels."""
         return ROLL, self.force, 0.0
 
 

@@ -1,4 +1,4 @@
-"""Roads with loads on the vehicle's body. Both begin at time 0."""
+"""Roads with loads on the vehicle's body. Road and loads begin at time 0."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ WAYS = {HEAVE_LOAD.name: "moves vertically", PITCH_LOAD.name: "pitches", ROLL_LO
 
 @dataclass(frozen=True, eq=False)
 class RoadWithLoads(DerivedRoad):
-    """Road with loads. It has no spectrum, because the loads are not random.
+    """Road with loads. A road with loads has no spectrum, because the loads are not random.
 
     Attributes:
         on_body: the loads.
@@ -38,12 +38,12 @@ class RoadWithLoads(DerivedRoad):
 
     @property
     def loaded(self) -> bool:
-        """True: loads act on the body."""
+        """True: because loads act on the body."""
         return True
 
     @property
     def load_kinks(self) -> tuple[float, ...]:
-        """Kinks of all loads [s]."""
+        """Times of the kinks of all loads [s]."""
         return tuple(sorted({kink for load in self.on_body for kink in load.kinks}))
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
