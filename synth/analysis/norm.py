@@ -238,7 +238,7 @@ class Gain:
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
     def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-        """Returns the frequency [rad/s] of the highest gain within the distances `width` of the frequencies `omega`, shape (1,)."""
+        """Returns the frequency [rad/s] of the highest gain within `width` of the frequencies `omega`, shape (1,)."""
         steps = np.linspace(-1, 1, 21)[:, None]
         for _ in range(zooms):
             near = self.within(omega + width * steps)

@@ -24,14 +24,14 @@ from synth.controller.export.compiled import ExportedCode
 from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
-INVALID = 50  # one in so many test vectors has an input that is not finite
+INVALID = 50  # one of this many test vectors has an input that is not finite
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 CERTIFICATES = "certificates"  # name of the folder with the LMI certificates
-SAME = 1e-9  # relative difference of tables that rounding on another machine may cause
+SAME = 1e-9  # relative difference between tables that rounding on another machine may cause
 
 
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
-    """Returns the content of certificate.json: the law, its tables as used in the code, and the claims of the vehicle file."""
+    """Returns the content of certificate.json: the law, its tables as in the code, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law.law, name) for name in MATRICES} | {"anti_windup": law.anti_windup}
     found: dict[str, Any] = {
