@@ -212,7 +212,7 @@ class ExportedFolder:
     Attributes:
         folder: path of the folder.
         vehicle: vehicle from the vehicle file in the folder.
-        law: exported law, computed again from this vehicle file.
+        law: exported law, which is computed again from this vehicle file.
         failures: one-line text for each file that is missing or changed.
     """
 
@@ -227,7 +227,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
     Args:
         folder: path of the folder.
-        driver_of: function of a vehicle and a name that returns the controller.
+        driver_of: function that takes a vehicle and the name of a controller, and returns the controller.
 
     Raises:
         InputError: the folder is not an exported controller.
@@ -252,7 +252,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
 
 def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyController]) -> list[AnyController]:
-    """Returns the controllers of a vehicle, where the exported controller uses the code of a folder.
+    """Returns the controllers of a vehicle. The exported one among them uses the code in the folder.
 
     Args:
         found: exported folder.
@@ -277,7 +277,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
         raise InputError(f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.start()  # raises an error before the simulations if the code cannot be built
+    code.start()  # raises an error before the simulations start if the code cannot be built
     return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
