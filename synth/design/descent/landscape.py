@@ -206,7 +206,7 @@ class Landscape:
         return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
-        """Returns (I - K Dyu)^-1 K, the gain that acts without Dyu, for each point, shape (..., m, q); NaN if it does not exist."""
+        """Returns the equivalent gain without Dyu, (I - K Dyu)^-1 K, for each point, shape (..., m, q); NaN if none exists."""
         K = self.gain(x) - self.before
         if not self.through:
             return K

@@ -1,6 +1,6 @@
-"""Search for the worst gain errors of a loop: at the vertices of their box for a norm, in the whole box for the slowest pole.
+"""Search for the worst gain errors: at the vertices of the box for a norm, in the whole box for the slowest pole.
 
-A loop with errors equals the loop without errors with the gain (1 + forces) K (1 + sensors).
+A loop with errors is the same as a loop without errors that has the gain (1 + forces) K (1 + sensors).
 """
 
 from collections.abc import Iterator
