@@ -187,7 +187,7 @@ class _Search:
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
-        """Raises an InfeasibleError if a single mode, possibly of an integrator, prevents every law from stabilising the plant."""
+        """Raises an InfeasibleError if a single mode, possibly of an integrator, makes stabilisation impossible for every law."""
         if reasons := "; ".join(stabilisability_failures(self.plant, states)):
             raise InfeasibleError(reasons)
         if structure.kind:

@@ -325,7 +325,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBou
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Returns a text about the sample period that a fast pole requires and the cost of a slower law; empty without a fast pole."""
+    """Returns a text about the sample period that a fast pole requires and the cost of a slower law; empty if none is fast."""
     if best.excess == 1:
         return ""
     slower = next((each for each in reversed(trade) if each.excess == 1), None)
