@@ -9,14 +9,14 @@ Public names. All units are SI. Each name is imported when it is first used:
   `MultiObjectiveProblem`, which consists of `NormSpecification`, `FamilyMember`, `MeasuredPlant` and `GainErrors`.
   `slack_design` is deprecated.
 - Dynamic controllers and quadratic designs: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`.
-- Analysis of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`.
+- Analysis of a closed loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`.
 - Analysis of a sampled-data loop: `sampled_norm` of a `SampledLoop`, for example from `SampledLoop.of_gain`. A `HoldInterval`
   describes the part of a sample period in which the forces are constant.
 - Conversion to and from python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`.
 - Errors: `DesignError` and `InfeasibleError`. A design raises an error if it finds no controller.
 
 Start reading at `synth/vehicle/designer.py` for vehicles, and at `synth/design/feedback.py` for other plants. Only the package
-`synth/vehicle` and packages above it use vehicles. Names that are not in this list may move without notice.
+`synth/vehicle` and packages above it use vehicles. Names that are not in this list may be moved or renamed without notice.
 """
 
 import sys

@@ -1,14 +1,14 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
 The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
-result lies between two levels. The gain reaches the lower level at a frequency of the band. No frequency of the band exceeds
-the upper level, which is slightly higher. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian
+result lies between two levels. The gain reaches the lower level at a frequency of the band. It exceeds the slightly higher
+upper level at no frequency of the band. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian
 matrix is treated as a possible crossing, regardless of its real part. Between two neighbouring crossings, or between a crossing
 and an edge of the band, the gain is above the level either everywhere or nowhere.
 
 **A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
-the largest amplification of a sinusoid in the band. An unstable loop has a frequency response, too, but the response to a
-sinusoid does not reach a steady state. The norm of an unstable loop is therefore not an amplification.
+the largest amplification of a sinusoid in the band. An unstable loop also has a frequency response, but its response to a
+sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an amplification.
 """
 
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
             frequencies above pi / dt add nothing.
 
     Returns:
-        The norm, its frequency [rad/s] and an upper bound on the gain in the band, as a `BandNorm`.
+        Largest gain, the frequency [rad/s] at which it occurs, and an upper bound on the gain in the band, as a `BandNorm`.
 
     Raises:
         InputError: the band is empty or out of range.
@@ -128,7 +128,7 @@ def _gain(loop: Plant, low: float, high: float) -> Gain:
 
 
 def exceeds(gain: Gain, level: float) -> bool:
-    """Returns True if the gain exceeds the level at some frequency of the band of `gain`."""
+    """Returns True if the gain exceeds the level at some frequency in the band for which `gain` was built."""
     if gain.high == np.inf and gain.at_infinity > level:
         return True
     return bool(np.any(gain.at(proposals(gain, level)[0]) > level))

@@ -1,4 +1,4 @@
-"""Proof of a norm bound: computes an X for the bounded-real LMI (20) from a Riccati equation instead of an LMI solver."""
+"""Proof of a norm bound: a Riccati equation, not an LMI solver, gives an X for the bounded-real LMI (20)."""
 
 from dataclasses import replace
 from itertools import product
@@ -20,12 +20,16 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound from the norm, tried in this order until one is proved
-SMALL = (1e-9, 1e-6, 1e-3)  # bounds for norms that are nearly zero, relative to the gain that the size of the matrices suggests
+# bounds to try for norms that are nearly zero, relative to the gain expected from the size of the matrices
+SMALL = (1e-9, 1e-6, 1e-3)
 ADDED_NOISE = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a fraction of the margin: small, but larger than rounding errors
-EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # noise on every state, relative to the disturbance's power; it makes X > 0
-LOOSE = (1.0, 10.0, 100.0)  # larger margins, tried if rounding prevents a closer proof, for example if large states cancel in z
-LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)  # for LOOSE: noise relative to the power of z, larger on states that z observes less
-UNOBSERVABLE = 1e-14  # observability relative to the largest; smaller values are rounding errors
+# noise added on every state so that X > 0, relative to the power of the disturbance
+EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)
+# larger margins, tried if rounding prevents a proof closer to the norm, for example if large states cancel in z
+LOOSE = (1.0, 10.0, 100.0)
+# for LOOSE: noise relative to the power of z, larger on states that are less observable in z
+LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)
+UNOBSERVABLE = 1e-14  # observability relative to the most observable state; smaller values are rounding errors
 
 
 @numerics()
@@ -37,11 +41,11 @@ def certify_tightly(
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a proved bound just above the norm if a proof succeeds.
 
-    `certify` does not compute an X. `certify` checks a given X, or returns a certificate without a bound.
+    In contrast, `certify` does not compute an X: it checks a given X, or returns a certificate without a bound.
 
     Args:
         plant: plant with n states and m inputs.
-        G: gain from the measurements, as in (6), or a state gain of shape (m, n).
+        G: gain from the measurements, as in (6) of the paper, or a state gain of shape (m, n).
         lower_bound: lower bound on the norm for all controllers of the same type as G.
         plant_without_law: plant without the states of the controller, as in `certify`.
     """
@@ -79,16 +83,16 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
     """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
     X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur complement of
-    (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times a noise. The equation is
-    solved in coordinates in which this noise gives the states the covariance I. The accuracy therefore does not depend on the
-    units.
+    (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the covariance of a small
+    noise. The equation is solved in coordinates in which this noise gives the states the covariance I. The accuracy therefore
+    does not depend on the units of the states.
 
     Args:
         loop: stable loop in continuous time.
         gamma: bound, larger than the norm.
-        more: factor on the noise; small compared with the relative distance of gamma from the norm.
+        more: factor that multiplies the noise; small compared with the relative distance of gamma from the norm.
         everywhere: fraction of the noise that acts on every state, including states that are not controllable from w.
-        least_seen: True to give more of this fraction to directions that are less observable in z.
+        least_seen: True to add more of this noise in directions that are less observable in z.
 
     Raises:
         LinAlgError: rounding prevents a solution.
@@ -108,7 +112,7 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
     T = np.linalg.cholesky((covariance + covariance.T) / 2)
     loop = loop.in_coordinates(T)
     noise = np.linalg.solve(T, np.linalg.solve(T, noise).T)
-    noise = (noise + noise.T) / 2  # the Riccati solver rejects a matrix that is not symmetric because of rounding
+    noise = (noise + noise.T) / 2  # the Riccati solver rejects a matrix that rounding made slightly unsymmetric
     constant = eta * (loop.Bw @ loop.Bw.T + more * noise)
     weight = -(np.eye(d) - eta * loop.Dw @ loop.Dw.T)
     X = linalg.solve_continuous_are(loop.A.T, loop.C.T, constant, weight, s=eta * loop.Bw @ loop.Dw.T)

@@ -2,8 +2,8 @@
 
 Certificates are computed with numpy alone, without the solver that found the gains.
 
-The lemma is (20) of the paper for a closed loop, and (21) for a design. With a feedthrough Dw from w to z (zero in the paper),
-the same Schur complement gives
+The lemma is LMI (20) of the paper for a given closed loop, and LMI (21) for a design. With a feedthrough Dw from w to z (zero
+in the paper), the same Schur complement gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
@@ -15,17 +15,18 @@ For a discrete closed loop, the inequality is
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is this one. This larger matrix
-is the continuous matrix with additional rows and columns, if the plant is written in differences over a step T
-(`Plant.differences`), and X T replaces X:
+which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix above. The plant is
+written in differences over a step T (`Plant.differences`), and X T replaces X. The larger matrix is then the continuous matrix
+with additional rows and columns:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-As T decreases, its entries approach those of the continuous matrix. No digits cancel, for example, at a sample rate of 1 kHz.
+As T decreases, the entries of this matrix approach the entries of the continuous matrix. No digits cancel, even at a sample
+rate of 1 kHz.
 
-The LMI is *proved* in exact arithmetic on the given numbers (`analysis/rigorous.py`). This proves that the loop A + B G is
+The LMI is *proved* for the given numbers in exact arithmetic (`analysis/rigorous.py`). This proves that the loop A + B G is
 stable and that its norm is below the bound. The norm itself is computed by two methods.
 """
 
@@ -56,7 +57,8 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
 
-_BOUND = "a lower bound, such as synth.find_lower_bound returns or None"  # the class itself is imported only where it is used
+# the class LowerBound itself is imported only where it is used
+_BOUND = "a lower bound, such as synth.find_lower_bound returns or None"
 KnownBound = Annotated[
     "LowerBound | None", Must(_BOUND, lambda one: one is None or type(one).__name__ in ("LowerBound", "LaterBound"))
 ]
@@ -101,7 +103,8 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
     n, m = plant.B.shape
     (system, of_plant), (gain, of_gain), (whole, of_X) = integers(plant.system_matrix), _gain(G), integers(X)
     eta_top, eta_bottom = float(eta).as_integer_ratio()
-    of_loop = of_plant * of_gain  # the `of_` and `over_` variables are denominators of a matrix, or of the terms with X or eta
+    # variables `of_...` and `over_...` are the denominators of a matrix, or of the terms that contain X or eta
+    of_loop = of_plant * of_gain
     loop = system[:, :n] * of_gain + product(system[:, n : n + m], gain)
     F = product(loop, whole)
     if plant.dt is None:
@@ -125,16 +128,18 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
     return product(gain, rows), of_gain * of_rows
 
 
-FASTEST = 100.0  # multiple of the plant's speed; actuators are rarely faster
-SLOWEST = 1e-7  # multiple of the plant's speed; a slower decay is negligible in practice (1 s compared with 100 days)
-BELOW = 1e-9  # relative distance by which rounding may put a norm below the lower bound
-ROUTES_AGREE = 1e-6  # allowed relative difference of the two norms; for a well-conditioned plant the difference is about 1e-12
-PEAKS_AGREE = 1e-9  # allowed relative difference between the norm and the gain at the claimed peak; the gain is flat at a peak
+FASTEST = 100.0  # a loop whose fastest pole exceeds this multiple of the plant's speed needs faster actuators than usual
+SLOWEST = 1e-7  # slowest useful decay, as a multiple of the plant's speed: 1 s compared with 100 days
+BELOW = 1e-9  # relative amount by which rounding may put a computed norm below the lower bound
+# allowed relative difference between the norms of the two methods; about 1e-12 for a well-conditioned plant
+ROUTES_AGREE = 1e-6
+# allowed relative difference between the norm and the gain at the claimed peak; near a peak, the gain is flat
+PEAKS_AGREE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class LmiProof:
-    """Proof of a bound: X > 0 and LMI (20) < 0, or the discrete form of (20) (see the module docstring of `certificate.py`).
+    """Proof of a bound: X > 0 and LMI (20) < 0, or the discrete form of (20) (see the docstring of the module `certificate.py`).
 
     Attributes:
         X: symmetric matrix, shape (n, n).
@@ -189,13 +194,13 @@ class Certificate(ShownResult):
     Attributes:
         loop: closed loop.
         stability: poles of the loop, and whether they are stable.
-        own: stability without the poles of the filters in z and w, which no controller can move.
-        norm: H-infinity norm, computed by two methods, and the frequency of the peak.
+        own: stability without the poles of the filters in z and w, which no controller can change.
+        norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
         proof: proof of the bound; None if there is no bound.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
-        moves: True if the speed of the plant is the magnitude of its fastest pole. False if all poles are at 0; then the speed
-            is the rate at which motion and driving force have equal weight in z (`units.own_units`).
-        norm_rounding: threshold below which a norm counts as zero, so that its two values need not agree.
+        moves: True if the plant has poles other than 0; its speed is then the magnitude of its fastest pole. If all poles are
+            at 0, the speed is the rate at which motion and driving force have equal weight in z (`units.own_units`).
+        norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
         below: proof of the lower bound for controllers of the same type; None if no lower bound was requested.
     """
 
@@ -248,7 +253,7 @@ class Certificate(ShownResult):
 
     @property
     def stable(self) -> bool:
-        """True if all poles are stable by more than rounding: left of the imaginary axis, or (discrete) in the unit circle."""
+        """True if no pole is unstable or so close to the stability limit that rounding could hide an unstable pole."""
         return self.stability.stable
 
     @property
@@ -260,17 +265,17 @@ class Certificate(ShownResult):
 
     @property
     def beyond_actuators(self) -> bool:
-        """True if the loop needs faster actuators than exist. The proofs hold in this case, but the gain may be useless."""
+        """True if the loop is too fast for real actuators. The proofs remain valid, but the gain may be useless in practice."""
         return self.speed_up > FASTEST
 
     @property
     def hardly_decays(self) -> bool:
-        """True if a stable loop has a pole with negligible decay. The proofs hold, as for any stable loop."""
+        """True if a stable loop has a pole that hardly decays. The proofs remain valid."""
         return self.own.stable and -float(self.own.growth.max(initial=-np.inf)) < SLOWEST * self.speed * (self.loop.dt or 1.0)
 
     @property
     def speed(self) -> float:
-        """Speed of the plant without control [rad/s], the reference of `speed_up`."""
+        """Speed of the plant without control [rad/s], relative to which `speed_up` is given."""
         return float(self.own.rates.max(initial=0.0)) / self.speed_up if self.speed_up else 0.0
 
     @property
@@ -304,7 +309,7 @@ class Certificate(ShownResult):
 
     @property
     def loop_failures(self) -> tuple[str, ...]:
-        """Descriptions of the claims about the loop alone that do not hold; the lower bound is not checked."""
+        """Descriptions of the false claims about the loop itself; the lower bound is not checked here."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -323,7 +328,7 @@ class Certificate(ShownResult):
     def peaks_at(self, omega: float) -> bool:
         """Returns True if the gain at omega [rad/s] equals the norm.
 
-        The gain is flat at a peak, so the frequency of a peak is accurate to a relative error of about 1e-5 only.
+        The gain is flat at a peak, so the relative accuracy of a peak frequency is only about 1e-5.
         """
         if not np.isfinite(self.norm.value):
             return False
@@ -349,12 +354,12 @@ def certify(
 
     Args:
         plant: plant with n states and m inputs.
-        G: gain from the measurements, as in (6), used without rounding; or a state gain of shape (m, n).
+        G: gain from the measurements, as in (6) of the paper, used without rounding; or a state gain of shape (m, n).
         X: symmetric matrix of (20), shape (n, n).
         eta: gamma^-2 of (20), required if X is given.
         lower_bound: lower bound on the norm for all controllers of the same type as G.
-        plant_without_law: plant without the states of the controller. Its speed is the reference of `Certificate.speed_up`, and
-            its `weights` determine which states belong to filters. Default: `plant`.
+        plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of this
+            plant, and its `weights` determine which states belong to filters. Default: `plant`.
 
     Returns:
         Stability, H-infinity norm, and, if X and eta are given, the proof of the bound eta^-1/2, as a `Certificate`. Its
@@ -395,7 +400,7 @@ def certify(
 def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
     """Checks whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
-    The matrix of (20) (see the module docstring of `certificate.py`) is computed from the given numbers without rounding.
+    The matrix of (20) (see the docstring of the module `certificate.py`) is computed from the given numbers without rounding.
 
     Args:
         plant: plant with n states and m inputs.
@@ -436,7 +441,7 @@ def bound_of(eta: float) -> float:
 
 
 def _norm_rounding(loop: Plant, at: float) -> float:
-    """Returns the gain that rounding errors alone can produce for a zero transfer function, at 0 and at `at` [rad/s]."""
+    """Returns the gain at 0 and at `at` [rad/s] that rounding errors alone can produce if the true gain is zero."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
     points = points if loop.dt is None else np.exp(points * loop.dt)
@@ -448,7 +453,7 @@ def _norm_rounding(loop: Plant, at: float) -> float:
 class LaterBound:
     """A `LowerBound` that is proved only when one of its attributes is first read.
 
-    If it is sent to a worker process, the proof is computed before sending.
+    If the object is sent to a worker process, the proof is computed before sending.
     """
 
     def __init__(self, prove: Callable[[], Any]) -> None:
@@ -469,5 +474,5 @@ class LaterBound:
 
 
 def return_bound(bound: Any) -> Any:
-    """Returns its argument; pickle needs a function for `LaterBound`."""
+    """Returns its argument unchanged. Pickle uses this function to restore a `LaterBound`."""
     return bound

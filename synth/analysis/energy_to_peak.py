@@ -2,13 +2,13 @@
 
 The energy of w is the integral of |w|^2. Consider a signal s = c x of a stable loop x' = A x + Bw w with x(0) = 0. If w has the
 energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s comes
-arbitrarily close to this bound (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by the factor E^1/2. The length
-of a vector C x of signals is at most the square root of the largest eigenvalue of C P C'. No bound exists if w has a direct
-feedthrough to a signal. A signal may contain control forces.
+arbitrarily close to this bound (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by the factor E^1/2. For a
+vector C x of signals, the length is at most the square root of the largest eigenvalue of C P C'. If w has a direct feedthrough
+to a signal, the peak of this signal is unbounded. A signal may contain control forces.
 
-**The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, slightly larger than P: no peak exceeds (c X c')^1/2. The
-inequality is LMI (20) without z, and `certificate.prove_bound` proves it like (20). The value of c X c' is computed in
-integers.
+**The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, which is slightly larger than P. No peak then exceeds (c X
+c')^1/2. The inequality is LMI (20) without z, and `certificate.prove_bound` proves it in the same way. The value of c X c' is
+computed exactly, in integers.
 """
 
 from dataclasses import dataclass, replace
@@ -25,8 +25,9 @@ from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Feedback, Plant, check_continuous, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-ABOVE = (1e-12, 1e-9, 1e-6, 1e-3)  # noise added on all states, relative to the disturbance's power: makes the inequality strict
-HIGHER = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of `bound_together` from the computed peak, tried in this order
+# noise added on every state so that the inequality is strict, relative to the power of the disturbance
+ABOVE = (1e-12, 1e-9, 1e-6, 1e-3)
+HIGHER = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of `bound_together` above the computed peak, tried in this order
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +35,8 @@ class EnergyPeaks:
     """Largest peaks of several signals for a disturbance of energy 1.
 
     Attributes:
-        peaks: largest peak of each signal, shape (p,) [unit of the signal / (unit of w s^1/2)].
-        together: largest length of the vector of all p signals.
+        peaks: largest peak of each of the p signals, shape (p,) [unit of the signal / (unit of w s^1/2)].
+        together: largest length (Euclidean norm) that the vector of all p signals reaches.
         bounds: proved upper bounds on `peaks`, shape (p,).
         bound_together: proved upper bound on `together`.
         proof: proof of the Lyapunov inequality.
@@ -50,7 +51,7 @@ class EnergyPeaks:
 
 @numerics()
 def energy_peaks(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array) -> EnergyPeaks:
-    """Returns the energy-to-peak norms of the signals s = (C_s + D_s G) x in the loop A + B G, and proves bounds on them.
+    """Returns the energy-to-peak norms of the signals s = (C_s + D_s G) x in the loop A + B G, with proved bounds.
 
     Args:
         plant: plant in continuous time with n states and m inputs.

@@ -1,9 +1,9 @@
-"""Lower bounds on the norm from zeros in the closed right half plane, where no controller changes some directions from w to z.
+"""Lower bounds on the norm from zeros in the closed right half plane, at which no controller affects some directions of z or w.
 
 Assume that M - s E = [A - s, B; C, D] loses rank at a point s with Re s > 0, and that [q; p]' (M - s E) = 0. In every stable
-loop, x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller. Transposition gives a second
-condition. At a zero t from w to y = C_y x + Dyw w, some w = v leads to the same z = x for every controller of y, whatever its
-order. The transfer function T from w to z thus satisfies the interpolation conditions
+loop, x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller. Transposing the plant gives a
+second condition. At a zero t from w to y = C_y x + Dyw w, some w = v leads to the same z = x for every controller of y,
+whatever its order. The transfer function T from w to z thus satisfies the interpolation conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
@@ -14,18 +14,18 @@ A stable T with a norm of at most gamma can satisfy these conditions only if Pic
 
 Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983.
 
-If inputs control some states without cost in z, M - s E is singular at every s. The pairs are therefore computed as [q; p] = N
+If some inputs do not appear in z, M - s E can be singular at every s. The pairs are therefore computed as [q; p] = N
 k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
 
-On the imaginary axis, a single interpolation condition already bounds the norm, by |x_k| / |v_k|. The conditions of the plant
-on this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the disturbances
-that do not reach y at some frequency, or at infinity.
+On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. The conditions
+of the plant on this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the
+disturbances that do not reach y at some frequency, or at infinity.
 
-A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be near a
-solution, let R be near the inverse of the derivative at (k, s), and let the residual include its rounding error. A solution
-lies within the radius r if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If a zero has
-several vectors k, additional rows select the vector with the largest bound. A value of gamma is excluded if a vector v exists
-for which v* P v < 0 for every Pick matrix P within the enclosures.
+A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be close to a
+solution, and let R approximate the inverse of the derivative at (k, s). The residual includes its rounding error. An exact
+solution lies within the radius r around (k, s) if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r
+(`radius_of_solution`). If a zero has several vectors k, additional rows select the vector with the largest bound. A value of
+gamma is impossible if there is a vector v with v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -42,15 +42,15 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 STEPS = 3  # Newton steps from the given approximation of a zero
-SAFE = 4.0  # multiple of the rounding error of a real sum of products; covers complex products and norms of matrices
-# Relative distances of the proved bound below the best bound in floats, to leave room for enclosures
+SAFE = 4.0  # multiple of the rounding error of a real sum of products; also covers complex products and norms of matrices
+# Relative distances of the proved bound below the best bound in floats; they leave room for the errors of the enclosures
 SHORT = (1e-9, 1e-6, 1e-3)
 TINY = 1e-60  # smallest gamma of the search; the largest is 1 / TINY
 SEED = 20261122
-NEARLY = 1e-6  # relative size below which a singular value may be zero at the exact zero
-APART = 1e-6  # relative distance of two zeros below which only the first is used
+NEARLY = 1e-6  # relative size below which a singular value may be zero at the exact position of the zero
+APART = 1e-6  # if the relative distance of two zeros is smaller, only the first zero is used
 
-Zeros = tuple[Sequence[complex], Sequence[complex]]  # [rad/s], from u to z and from w to y
+Zeros = tuple[Sequence[complex], Sequence[complex]]  # zeros from u to z, and zeros from w to y [rad/s]
 
 
 class Node(NamedTuple):
@@ -78,10 +78,10 @@ def zero_limit(
     The bound is 0 if the zeros prove nothing.
 
     Args:
-        plant: plant of the bound. If the plant has no measurements, all states count as measured, and only zeros from u to z
-            are used.
-        inequalities: inequalities of the plant and of the transposed plant, if they are known. The second is None if the
-            transposed plant is not used.
+        plant: plant for which the bound holds. If the plant has no measurements, all states count as measured, and only zeros
+            from u to z are used.
+        inequalities: inequalities of the plant and of the transposed plant, if already computed. The second inequality is None
+            if the transposed plant is not used.
     """
     one, other = _sides(plant, inequalities)
     left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
@@ -90,7 +90,8 @@ def zero_limit(
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    near = best[1]  # compute the bound again from these approximations alone: a later check of the proof starts from them
+    # compute the bound again from these approximations alone, because a later check of the proof starts from them
+    near = best[1]
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
 
@@ -107,7 +108,10 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
-    """Returns the bound that interpolation conditions prove together. Conditions too close to an earlier one are ignored."""
+    """Returns the bound that interpolation conditions prove together.
+
+    A condition that is too close to an earlier condition is ignored.
+    """
     nodes: list[list[Node]] = [[], []]
     for kind, given in zip(nodes, (left, right), strict=True):
         for one in given:
@@ -123,7 +127,7 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
 def _sides(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> "tuple[_Pencil, _Pencil]":
-    """Returns the equations of the plant and of the transposed plant; the latter are empty if nothing is measured."""
+    """Returns the equations of the plant and of the transposed plant; the second equations are empty if nothing is measured."""
     if inequalities is None:
         inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(plant.transposed) if len(plant.Cy) else None
     one, other = inequalities
@@ -136,7 +140,7 @@ class _Pencil(NamedTuple):
     Attributes:
         U, Q, b, c: matrices of the equations, with every entry rounded once.
         rate: unit of s [rad/s].
-        unit: unit of y.
+        unit: unit of the vector y.
     """
 
     U: Array
@@ -179,7 +183,7 @@ class _Pencil(NamedTuple):
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """Returns the unit vector k with k' (Q - s U) near 0 and the largest |y| / |p|, and rows of equations that select k."""
+        """Returns the unit vector k with the largest |y| / |p| and k' (Q - s U) near 0, and rows of equations that select k."""
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
@@ -232,14 +236,14 @@ def _enclosed_near(side: _Pencil, near: complex) -> Node | None:
 
 
 def _newton(side: _Pencil, rows: Array, target: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
-    """Returns the inverse derivative, the residual and the derivative of the equations (Q - s U)' v = 0, rows v = target."""
+    """Returns the inverse derivative, the residual and the derivative of the equations (Q - s U)' v = 0, `rows` v = `target`."""
     shifted = (side.Q - s * side.U).T
     derivative = np.block([[shifted, -(side.U.T @ v)[:, None]], [rows, np.zeros((len(rows), 1))]])
     return np.linalg.inv(derivative), np.concatenate([shifted @ v, rows @ v - target]), derivative
 
 
 class _Pick:
-    """Pick's matrix gamma G + O - K / gamma, and bounds on the errors of the entries of G, O and K."""
+    """Pick's matrix, written as gamma G + O - K / gamma, and bounds on the errors of the entries of G, O and K."""
 
     def __init__(self, left: Sequence[Node], right: Sequence[Node]) -> None:
         k, nodes = len(left), [*left, *right]
@@ -290,7 +294,7 @@ class _Pick:
 
 
 def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
-    """Returns the product of the vectors a and b with errors up to da and db, and a bound on the error of the product."""
+    """Returns the product of the vectors a and b, whose errors are at most da and db, and a bound on the error of the product."""
     size_a, size_b = float(np.linalg.norm(a)), float(np.linalg.norm(b))
     return complex(a @ b), da * size_b + db * size_a + da * db + SAFE * (len(a) + 4) * np.finfo(float).eps * size_a * size_b
 

@@ -1,17 +1,17 @@
 """Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
 At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
-of this part is a lower bound. For a suspension, it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
+of this part is a lower bound. For a suspension, this norm peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
 The frequency and the direction are first estimated in floats. The proof is a pair (q, p) with
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x.
 
-The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers. No
-tolerance therefore decides whether a pair exists, even at a resonance or near a zero of Gu.
+The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers.
+Whether a pair exists therefore depends on no tolerance, even at a resonance or near a zero of Gu.
 
-At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies. A
-stabilising controller must also cancel the effect of w on this mode.
+At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies.
+The reason is that a stabilising controller must also cancel the effect of w on this mode.
 """
 
 import contextlib
@@ -28,17 +28,17 @@ from synth.plant.generalized import Plant, check_continuous
 from synth.plant.units import own_units
 
 PEAKS = 6  # number of local maxima that are refined
-NEGLIGIBLE = 1e-10  # relative size below which singular values of Gu count as zero in the estimate in floats
-AWAY = 1e-9  # relative distance of an estimated frequency from a pole on the axis
-FURTHER = 10.0  # factor on AWAY if the matrix is singular at this distance, too, as near a multiple pole
-ENOUGH = 1e-9  # relative increase of the best proved bound below which an estimate is not tried
+NEGLIGIBLE = 1e-10  # relative size below which a singular value of Gu counts as zero in the floating-point estimate
+AWAY = 1e-9  # relative distance by which a frequency is moved away from a pole on the imaginary axis
+FURTHER = 10.0  # factor on AWAY if the matrix is still singular at this distance, for example near a multiple pole
+ENOUGH = 1e-9  # an estimate is not tried if it increases the best proved bound by less than this relative amount
 UNCHANGED_NORM = (
     1e-3  # relative difference below which the norm without control counts as equal to the limit; far larger than rounding
 )
 
 
 def invariant_limit(plant: Plant) -> tuple[float, float] | None:
-    """Returns the largest norm that no controller can change, and its frequency [rad/s].
+    """Returns the largest part of the gain that no controller can change, and its frequency [rad/s].
 
     The result is None if the control affects every direction of z.
     """
@@ -66,7 +66,7 @@ def invariant_limit(plant: Plant) -> tuple[float, float] | None:
 
 
 def limit_at(plant: Plant, omega: float) -> float:
-    """Returns a proved norm at the frequency omega [rad/s] that no controller can change; 0 if none is proved."""
+    """Returns a proved part of the gain at omega [rad/s] that no controller can change; 0 if nothing is proved."""
     return proof_at(plant, omega)[0]
 
 
@@ -113,12 +113,13 @@ def without_control(plant: Plant, omega: float) -> float:
 def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
-    The real part of [q; p] is above its imaginary part. For a discrete plant, the point z = (1 + j t) / (1 - j t) is used, with
-    a float t = tan(omega dt / 2). This point is exactly on the unit circle. The rows of the states are multiplied by 1 - j t.
+    The vector [q; p] is stored as a real vector: its real part, then its imaginary part. For a discrete plant, the point z = (1
+    + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). This point is exactly on the unit circle. The rows of the
+    states are multiplied by 1 - j t.
 
     Returns:
-        The real part and the imaginary part of M, up to a common factor, shapes (n + d, n + m). The effects of w on the real
-        part and on the imaginary part of p* z, shape (2 (n + d), 2 r), and the denominator of these effects.
+        The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m); the matrix of the
+        effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r); and the denominator of this matrix.
     """
     n, m = plant.B.shape
     system, unit = integers(plant.system_matrix)
@@ -143,14 +144,14 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
 def limit_at_infinity(plant: Plant) -> float:
     """Returns a proved lower bound on the norm at infinite frequency for all proper controllers of y = C_y x + Dyw w.
 
-    The bound is a norm of Dw: either for disturbances that have no feedthrough to y, or for outputs to which the control forces
-    have no feedthrough. The bound is 0 if nothing is proved.
+    The bound is the norm of Dw, restricted either to disturbances that have no feedthrough to y, or to outputs to which the
+    control forces have no feedthrough. The bound is 0 if nothing is proved.
     """
     return max(_limit_beside(plant.Dyw.T, plant.Dw), _limit_beside(plant.D, plant.Dw.T))
 
 
 def _limit_beside(K: Array, direct: Array) -> float:
-    """Returns a proved norm of the matrix `direct` on the vectors v with K' v = 0; 0 if there is no such v."""
+    """Returns a proved norm of the matrix `direct`, applied to the vectors v with K' v = 0; 0 if only v = 0 satisfies this."""
     silent = Nullspace(integers(K)[0])
     if not silent.free or not direct.any():
         return 0.0
@@ -185,7 +186,7 @@ def _poles_on_axis(plant: Plant) -> list[float]:
 
 
 def _strongest(outputs: Array, effects: Array) -> Array:
-    """Returns the vector x with the largest |x' effects| / |x' outputs|, without directions in which x' outputs is zero.
+    """Returns the vector x with the largest |x' effects| / |x' outputs|, excluding directions in which x' outputs is zero.
 
     Args:
         outputs: matrix of shape (k, d).
@@ -198,9 +199,11 @@ def _strongest(outputs: Array, effects: Array) -> Array:
 
 
 def _rates(plant: Plant) -> Array:
-    """Returns the positive magnitudes of the plant's poles [rad/s]. If all poles are at 0, returns the rate of its `own_units`.
+    """Returns the positive magnitudes of the plant's poles [rad/s].
 
-    Rounding moves an n-fold pole at 0 by up to the n-th root of the rounding error.
+    If all poles are at 0, returns the plant's own rate (`own_units`).
+
+    Rounding can move an n-fold pole at 0 by up to the n-th root of the rounding error.
     """
     A, _ = balance(plant.A)
     poles = np.abs(np.linalg.eigvals(A))

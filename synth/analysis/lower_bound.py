@@ -1,9 +1,8 @@
 """Lower bounds on the norm for all controllers, proved by dual solutions in exact arithmetic.
 
 A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if X > 0 and S > 0 exist with [X I; I S] >=
-0. X
-solves the `SynthesisInequality` of the plant with eta = gamma^-2. S solves the inequality of the transposed plant (Gahinet,
-Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
+0. Here X solves the `SynthesisInequality` of the plant with eta = gamma^-2, and S solves the inequality of the transposed plant
+(Gahinet, Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
@@ -12,7 +11,7 @@ The sum of their products with the three inequalities is
 
     (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
-W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the largest eigenvalue of
+W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the largest eigenvalue of the matrix
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
@@ -20,10 +19,10 @@ The first entry is the bound for state feedback. No controller has a smaller nor
 dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X U') - eta b
 b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
 
-**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. Any
-factors give a valid bound. Then e, t, f and the entries of V are computed in integers from the numbers of the plant, without a
-tolerance. Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and a proved bound
-on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
+**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. The bound
+is valid for any values of these factors. Then e, t, f and the entries of V are computed in integers from the numbers of the
+plant, without a tolerance. Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and
+a proved bound on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -43,7 +42,8 @@ if TYPE_CHECKING:
 
 SHRINK = (1e-9, 1e-6, 1e-3)  # relative reductions of the best V12, tried in this order until V is proved positive definite
 SAFE = 4.0  # multiple of the rounding error of a sum of products
-DOWN = 1 - 2.0**-45  # factor that rounds down by more than the dozen operations for the largest eigenvalue can round up
+# factor that rounds down by more than the dozen operations that compute the largest eigenvalue can round up
+DOWN = 1 - 2.0**-45
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class DualCertificate:
     """Strictly feasible point (X, eta) of a `SynthesisInequality`. The inverse of its matrix is the dual solution.
 
     Attributes:
-        X: matrix of shape (n, n), of which only J X J' is used.
+        X: matrix of shape (n, n); only J X J' is used.
         eta: gamma^-2.
     """
 
@@ -65,11 +65,12 @@ class LowerBound:
 
     Attributes:
         gamma: lower bound; 0 if nothing is proved.
-        state: dual certificate of state feedback; None if an invariant point or zeros prove the bound.
-        observer: dual certificate of the transposed plant; None if the bound is that of state feedback.
-        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the proof is another one.
+        state: dual certificate for state feedback; None if an invariant point or zeros prove the bound.
+        observer: dual certificate of the transposed plant; None if the bound is the bound for state feedback.
+        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound is proved
+            differently.
         zeros: zeros from u to z and from w to y [rad/s] with which `interpolation.limit_at_zeros` proves the bound; None if the
-            proof is another one.
+            bound is proved differently.
         reason: text that explains why the bound may be far below the norms of controllers; empty if no reason is known.
     """
 
@@ -83,21 +84,21 @@ class LowerBound:
     reason: str = ""
 
 
-BEYOND = 1e-8  # relative change that rounding may cause in the plant of a level
+BEYOND = 1e-8  # relative change of the discrete plant that rounding may cause
 
 
 @dataclass(frozen=True, eq=False)
 class SampledBound:
     """Lower bound on the L2 gain of a sampled-data loop, for controllers of any order.
 
-    Each level of the gain has a discrete plant (`synth/analysis/sampled_loop.py`). The level is a lower bound if no controller
-    brings the norm of this plant below 1.
+    For each level of the gain, there is an equivalent discrete plant (`synth/analysis/sampled_loop.py`). The level is a lower
+    bound if no controller brings the norm of this plant below 1.
 
     Attributes:
         level: lower bound on the L2 gain.
         proof: lower bound on the norm of the discrete plant of this level.
-        inside: True if no such plant exists for the level. Then the gain within one period, before any force responds, is at
-            least `level`.
+        inside: True if no such plant exists for the level. In this case, the gain within one period is at least `level` before
+            any force can respond.
     """
 
     level: float
@@ -106,14 +107,15 @@ class SampledBound:
 
     @property
     def holds(self) -> bool:
-        """True if the proof is valid despite the rounding of the plant of the level."""
+        """True if the proof is valid despite rounding errors of the discrete plant."""
         return self.inside or self.proof.gamma >= 1 + BEYOND
 
 
 def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertificate | None = None) -> LowerBound:
     """Returns the lower bound that dual certificates prove.
 
-    A point earlier on the central path gives a bound that is weaker, by (2 n + d) mu, but easier to prove.
+    A point earlier on the central path, where the barrier parameter mu is larger, gives a bound that is weaker by (2 n + d) mu
+    but easier to prove.
 
     Raises:
         ValueError: the shape of a dual certificate does not fit the plant.
@@ -146,14 +148,14 @@ def prove_from_inequalities(
 
 @dataclass(frozen=True, eq=False)
 class _Dual:
-    """Numbers e, t and V = T^-T V_T T^-1 of a dual solution.
+    """Numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact numbers of the solution. For an antistable part, e is a lower bound and t is an upper bound.
-        V: V_T in floats; near I on the central path.
+        e, t: exact values for the solution. For an antistable part, e is only a lower bound and t is only an upper bound.
+        V: V_T in floats; it is close to I on the central path.
         error_bound: bound on the error of each entry of V_T, same shape as V_T.
-        T: matrix of floats that counts as exact, shape (a, a).
-        Y: matrix of floats near T^-T that counts as exact, shape (a, a).
+        T: matrix of floats, treated as exact, shape (a, a).
+        Y: matrix of floats close to T^-T, treated as exact, shape (a, a).
     """
 
     e: Fraction
@@ -224,7 +226,7 @@ def _evaluate_dual(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _
 
 
 def _enclose_factors(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dual | None:
-    """Returns bounds on e, t and V_T of W = L L' for all matrices in the enclosures; None if V > 0 is not proved."""
+    """Returns bounds on e, t and V_T of W = L L' that hold for all matrices in the enclosures; None if V > 0 is not proved."""
     _, off_q, off_b, off_c = part.off
     unit, low = SAFE * (len(L) + 4) * UNIT, np.abs(L).T
     left, right = L.T @ T, L.T @ part.Q @ T
@@ -281,7 +283,7 @@ class CouplingMatrix:
 
 
 def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Fraction:
-    """Returns f of the best V12 for which V is proved positive definite; 0 if no such V12 is found."""
+    """Returns the number f of the best V12 for which V is proved positive definite; 0 if no such V12 is found."""
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))

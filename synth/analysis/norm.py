@@ -1,19 +1,20 @@
 """H-infinity norm (18), computed by two methods that find its peak, and the largest singular value at a frequency.
 
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
-  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, except for rounding of
-  eigenvalues.
+  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, unless rounding changes the
+  eigenvalues too much.
 - `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each of its values is a
   gain of the transfer function, so the result never exceeds the norm.
 
 `hinf_norm` uses both methods and returns their difference. The methods find the peak on the imaginary axis (the L-infinity
 norm), or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on the axis.
 
-Both methods share the transfer function. A modal form of the system, which is cheap to evaluate, only proposes frequencies. The
-returned gains are computed without the modal form, by solving a linear system of equations.
+Both methods evaluate the same transfer function. A modal form of the system, which is cheap to evaluate, is used only to select
+frequencies. The returned gains are computed without the modal form, by solving a linear system of equations.
 
-The rounding error of the gains is bounded to first order. The bound is large for a very large gain, whose loop A + B G has both
-fast and slow poles. In this case, both methods refine their results with twice the digits, on the loop before it was rounded.
+The rounding error of the gains is bounded to first order. The bound is large if a very large gain G causes both fast and slow
+poles of the loop A + B G. In this case, both methods refine their results with twice the digits, starting from the loop before
+rounding.
 """
 
 from collections.abc import Callable
@@ -42,17 +43,18 @@ def largest_singular_values(T: Array) -> Array:
     if 1 in T.shape[1:]:
         return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # the singular value of a vector is its length
     square = _smaller_square(T)
-    if square.shape[1] == 2:  # solves a quadratic equation; its larger root has no cancellation
+    if square.shape[1] == 2:  # solves a quadratic equation for its larger root, which has no cancellation
         a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
         return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # squaring costs the largest singular value no digits
+    # squaring the matrix costs the largest singular value no digits
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
 
 def highest(T: Array, above: float) -> tuple[float, int]:
     """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of its matrix.
 
-    Values up to `above` are ignored. If no value is larger, returns 0 and the index -1. The Frobenius norm, which is cheap,
-    excludes most matrices.
+    Values up to `above` are ignored. If no value is larger, returns 0 and the index -1. Most matrices are excluded by their
+    Frobenius norm, which is cheap to compute.
     """
     squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
     among = np.flatnonzero(~(squares <= above * above))
@@ -70,7 +72,7 @@ def _smaller_square(T: Array) -> Array:
 
 
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
-    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
+    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of the error.
 
     The residual of the linear system is computed with twice the digits, and the solution is corrected until it converges.
     Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned
@@ -88,7 +90,7 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     A_low, C_low = beyond[:n], beyond[n:]
     turned = omega[:, None, None]
     shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
-    # The columns of the real parts are followed by those of the imaginary parts
+    # The columns of the real parts are followed by the columns of the imaginary parts
     high, low = np.zeros((2, len(omega), n, 2 * r))
     T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
     for _ in range(MOST_TURNS):
@@ -139,7 +141,7 @@ class Gain:
         self.edges = np.array([low, high] if np.isfinite(high) else [low])
 
     def within(self, omega: Array) -> Array:
-        """Returns the frequencies [rad/s], limited to the interval."""
+        """Returns the frequencies [rad/s] after limiting them to the interval."""
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
@@ -147,7 +149,7 @@ class Gain:
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """Returns `at`, computed from the modal form with the relative error ALIKE; `at` itself if the modal form is worse."""
+        """Returns the same as `at`, but from the modal form if the relative error of this form is at most ALIKE."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def at_poles(self) -> float:
@@ -193,7 +195,7 @@ class Gain:
     def grid_error(self, at: float) -> float:
         """Returns the relative amount by which a peak may exceed the best gain found, to second order.
 
-        This higher peak would lie between the best frequency and the next frequency tried.
+        Such a peak would lie between the best frequency and the next frequency that was tried.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -201,7 +203,7 @@ class Gain:
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns `grid_error`, measured with twice the digits.
+        """Returns the same as `grid_error`, but computed with twice the digits.
 
         This method is used if rounding may have moved poles and misled the search.
 
@@ -209,7 +211,7 @@ class Gain:
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
-        if at > 0 and at in (self.low, self.high):  # the end of the interval was evaluated exactly; peaks outside do not count
+        if at > 0 and at in (self.low, self.high):  # the gain at the end of the interval is exact; peaks outside do not count
             return self.grid_error(at)
         step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
         (below, here, above), _ = self.at_double_double(np.array([at - step, at, at + step]))
@@ -229,14 +231,14 @@ class Gain:
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
-        """Returns the gain `best` and its frequency `at`, or those of infinity if the gain is higher at infinity.
+        """Returns the gain `best` and its frequency `at`, or the gain at infinity and infinity if that gain is higher.
 
         Infinite frequency is considered only if the interval is unbounded.
         """
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
     def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-        """Returns the frequency [rad/s] of the highest gain near the frequencies `omega`, within `width`, shape (1,)."""
+        """Returns the frequency [rad/s] of the highest gain within `width` of the frequencies `omega`, shape (1,)."""
         steps = np.linspace(-1, 1, 21)[:, None]
         for _ in range(zooms):
             near = self.within(omega + width * steps)
@@ -268,10 +270,10 @@ class Gain:
         return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
 
 
-EXACT = 1e-10  # relative height above the best gain at which the level set must be empty for the search to end
-REFINED_PEAKS = 2  # number of the highest peaks near poles that are refined before the first level set
-SEEN = 1e-9  # relative rounding error above which a norm is computed with twice the digits
-CLEAR = 1.1  # smallest level for which the Hamiltonian is well conditioned, as a multiple of the gain at infinity
+EXACT = 1e-10  # the search ends if no gain exceeds the best gain by more than this relative amount
+REFINED_PEAKS = 2  # number of the highest peaks near poles that are refined before the first level is tested
+SEEN = 1e-9  # relative rounding error above which a norm is computed again with twice the digits
+CLEAR = 1.1  # smallest level at which the Hamiltonian matrix is well conditioned, as a multiple of the gain at infinity
 
 
 @dataclass(frozen=True)
@@ -283,7 +285,7 @@ class Norm:
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
         level_set: result of the method of level sets.
         sweep: result of the frequency sweep.
-        rounding: first-order bound on the relative error of `value`, from rounding and from a peak between neighbouring
+        rounding: first-order bound on the relative error of `value`, caused by rounding or by a peak between neighbouring
             frequencies.
     """
 
@@ -307,8 +309,8 @@ def hinf_norm(system: Plant) -> Norm:
         system: continuous or discrete system from w to z; for a plant with a controller, use `plant.closed_loop(...)`.
 
     Returns:
-        Norm, peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if the system is not
-        stable.
+        H-infinity norm, peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if the system
+        is not stable.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, hinf_norm
@@ -329,7 +331,10 @@ def hinf_norm(system: Plant) -> Norm:
 
 
 def by_both_routes(gain: Gain) -> Norm:
-    """Returns the largest gain on an interval by both methods. The system may be unstable, but has no pole on the interval."""
+    """Returns the largest gain on an interval by both methods.
+
+    The system may be unstable, but it must have no pole on the interval.
+    """
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
     ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
@@ -347,8 +352,8 @@ def by_both_routes(gain: Gain) -> Norm:
 def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
     """Returns the largest gain of a discrete system by both methods.
 
-    The methods search on the bilinear image of the system, which is continuous and proposes frequencies. The returned gain is
-    computed from the discrete system at these frequencies.
+    The bilinear transform maps the system to a continuous system, which the methods search for frequencies. The returned gain
+    is computed from the discrete system at these frequencies.
     """
     norms, discrete = [], FEATURES.load("discrete plants")
     for route in (by_level_sets, by_sweep):
@@ -375,8 +380,8 @@ def gain_at(system: Plant, omega: float) -> float:
 def level_set_norm(system: Plant) -> tuple[float, float]:
     """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
 
-    Eigenvalues only propose frequencies, and the transfer function gives the gains. No tolerance is therefore needed to
-    distinguish an imaginary eigenvalue from an eigenvalue that rounding moved off the axis.
+    Eigenvalues only select frequencies, and the transfer function gives the gains. The method therefore needs no tolerance to
+    decide whether an eigenvalue is imaginary.
     """
     return by_level_sets(Gain(system))
 
@@ -405,11 +410,11 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns frequencies at which a gain above the level may be found, and half their spacing, shapes (k,) [rad/s].
+    """Returns frequencies at which the gain may exceed the level, and half their spacing, shapes (k,) [rad/s].
 
     The frequencies are the crossings of the level, the ends of the interval, and the midpoints between them. Between two
-    neighbouring crossings, the gain is above the level either everywhere or nowhere. If any gain exceeds the level, the gain at
-    one of these frequencies therefore does, too.
+    neighbouring crossings, the gain is above the level either everywhere or nowhere. Therefore, if the gain exceeds the level
+    anywhere, it does so at one of these frequencies.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -427,7 +432,7 @@ def level_crossings(system: Plant, level: float) -> Array:
     n, (d, r) = len(A), Dw.shape
     through = bool(Dw.any())
     if not through or level > CLEAR * np.linalg.norm(Dw, 2):
-        # Hamiltonian matrix without w and z, which are eliminated
+        # Hamiltonian matrix; w and z are eliminated
         into, out, moved = Bw / level, C, A
         if through:
             size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
@@ -438,8 +443,9 @@ def level_crossings(system: Plant, level: float) -> Array:
         hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:
-        # Pencil with w and z as unknowns. Eliminating them would be singular if the level is the gain at infinity. The errors
-        # of the eigenvalues grow with the largest entry. Units of time, states and z (powers of two) make the entries similar.
+        # Pencil with w and z as unknowns. Eliminating w and z would be singular if the level equals the gain at infinity. The
+        # errors of the eigenvalues grow with the largest entry, so units of time, states and z (powers of two) give the entries
+        # similar sizes.
         rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
         of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
@@ -455,7 +461,8 @@ def level_crossings(system: Plant, level: float) -> Array:
             eigenvalues = linalg.eigvals(pencil, dynamic)
         eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
     proposed = np.imag(eigenvalues)
-    return np.append(0.0, np.sort(proposed[proposed > 0]))  # eigenvalues are conjugate pairs: positive parts suffice
+    # eigenvalues are conjugate pairs, so the positive imaginary parts suffice
+    return np.append(0.0, np.sort(proposed[proposed > 0]))
 
 
 def _power_of_two(size: float) -> float:
@@ -478,7 +485,7 @@ def by_sweep(gain: Gain) -> tuple[float, float]:
     size = np.abs(gain.poles)
     floor = max(size.max(initial=0.0) * 1e-12, np.finfo(float).tiny)
     low, high = (np.log10(max(edge, floor)) for edge in (size.min(initial=1.0), size.max(initial=1.0)))
-    # Frequencies around every pole, spaced relative to its damping, because no resonance is narrower than the damping
+    # The spacing of the frequencies around a pole is relative to its damping, because no resonance is narrower than the damping
     widths = np.linspace(-4, 4, 33)
     upper = gain.poles[np.imag(gain.poles) >= 0]
     near = np.imag(upper)[:, None] + np.abs(np.real(upper))[:, None] * widths

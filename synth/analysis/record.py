@@ -24,13 +24,15 @@ if TYPE_CHECKING:
     from synth.analysis.sampled_loop import SampledDataProblem
 
 
-SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"  # keys of the sampled-data loop's bound for any order
-VEHICLE = "vehicle"  # key of the numbers of the certified vehicle, by section of the vehicle file
+# keys of the lower bound, for controllers of any order, on the gain of a sampled-data loop
+SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"
+VEHICLE = "vehicle"  # key of the vehicle's numbers at the time of the certificate, by section of the vehicle file
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF, VEHICLE)
 LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
-SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units; vehicles stay far within them
+# limits for the magnitude of numbers in a certificate, in SI units; the numbers of vehicles are far within these limits
+SMALLEST, LARGEST = 1e-60, 1e60
 SAME = 1e-9  # relative difference that rounding on another machine may cause
 
 
@@ -51,7 +53,7 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 
 
 def bound_record(bound: SampledBound | None) -> dict[str, Any]:
-    """Returns the lower bound of a sampled-data loop and its proof, as a record contains them; empty if there is no bound."""
+    """Returns the lower bound of a sampled-data loop and its proof, in the format of a record; empty if there is no bound."""
     return {SAMPLED_BOUND: bound.level, SAMPLED_PROOF: _proof_record(bound.proof)} if bound is not None else {}
 
 
@@ -74,7 +76,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
     Args:
         record: record from `to_record`.
         plant: plant with n states, without the states of the controller.
-        kept: number of controller states, which X includes.
+        kept: number of controller states, which are also states of X.
 
     Raises:
         InputError: a key is unknown, or its value is null or malformed.
@@ -104,7 +106,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
 
 
 def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem") -> SampledBound:
-    """Returns the claimed lower bound of a sampled-data loop, with the result of checking its proof; see `bound_record`.
+    """Returns the claimed lower bound of a sampled-data loop and the result of checking its proof; see `bound_record`.
 
     Raises:
         InputError: the proof is malformed.
@@ -120,7 +122,7 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
 
 
 def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
-    """Returns the lower bound that the proofs in a record prove. Arguments and errors are those of `read_proof`."""
+    """Returns the lower bound that the proofs in a record prove. For arguments and errors, see `read_proof`."""
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:

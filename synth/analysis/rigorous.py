@@ -6,8 +6,8 @@ is a minor of the matrix, so the size of the integers grows only with the number
 The definiteness of M is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition succeeds, M is
 positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of positive
 definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 = gamma_j / (1 -
-gamma_j) M_jj, and gamma_j is about j unit roundoffs. The test never accepts a matrix that is not positive definite, but it
-rejects a positive definite matrix that is singular up to rounding.
+gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The test never accepts a matrix that is not positive definite,
+but it rejects a positive definite matrix that is so close to singular that rounding could make it singular.
 """
 
 from dataclasses import dataclass
@@ -60,10 +60,10 @@ PRIME = 2**31 - 1  # the product of two remainders fits into 64 bits
 
 
 def span_all(rows: Array, step: Array) -> bool:
-    """Returns True only if the rows of rows, rows step, rows step^2, ... span the whole space.
+    """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is `rows` and S is `step`.
 
-    For a plant, this means that the plant is observable. The rank is computed modulo a prime, and it never exceeds the true
-    rank. True is therefore a proof, but False may be a coincidence.
+    If R and S are the output matrix and the state matrix of a plant, the plant is then observable. The rank is computed modulo
+    a prime, and it never exceeds the true rank. The result True is therefore a proof, but False may be a coincidence.
 
     Args:
         rows: matrix of integers, shape (d, n).
@@ -90,7 +90,7 @@ class Nullspace:
     """Solutions Phi of K' Phi = 0 for a matrix of integers K, shape (N, c). Some rows of Phi determine the other rows.
 
     Attributes:
-        pivots: indices of the rows of Phi that the free rows determine; their number is the rank of K.
+        pivots: indices of the rows of Phi that follow from the free rows; the number of these rows is the rank of K.
         free: indices of the rows of Phi that may be chosen freely.
         independent: indices of columns of K that form a basis of its column space.
     """
@@ -135,7 +135,7 @@ class Nullspace:
 
 
 def _similar_columns(rows: Array) -> tuple[Array, Array]:
-    """Divides rows by their common factors, and scales columns by powers of two to similar size. Returns rows and powers."""
+    """Divides rows by their common factors, scales columns to similar size by powers of two, and returns rows and powers."""
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
     if not rows.size:
@@ -150,7 +150,7 @@ def without_factors(columns: Array) -> tuple[Array, int]:
     """Divides columns by their common factors, and scales them to similar size.
 
     Returns:
-        The columns, and a power of two near the largest entry of every column.
+        The columns, and a power of two close to the largest entry of every column.
     """
     columns = columns.copy()
     for j in range(columns.shape[1]):
@@ -174,7 +174,7 @@ def root_above(square: Fraction) -> float:
 
 UNIT = np.finfo(float).eps / 2  # unit roundoff
 SMALLEST = (
-    # Lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all entries. Other values may under- or overflow
+    # Lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all entries. Values outside may underflow or overflow
     1e-200
 )
 TINY = 1e-100  # larger than the sum of all underflows of one proof, if the diagonal entries are near 1
@@ -186,7 +186,7 @@ class Definiteness:
 
     Attributes:
         smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive or an entry is out of range.
-        rounding: smallest eigenvalue that a proof needs.
+        rounding: size that the smallest eigenvalue must exceed for a proof.
         proved: True if the matrix is proved positive definite despite rounding.
     """
 
@@ -196,12 +196,12 @@ class Definiteness:
 
 
 def radius_of_solution(residual: float, contraction: float, curvature: float) -> float | None:
-    """Returns a radius around a point within which a quadratic equation f(x) = 0 has a solution; None if this is not proved.
+    """Returns a radius around a point x within which a quadratic equation f(x) = 0 provably has a solution, or None.
 
     The proof uses Brouwer's fixed-point theorem: x - R f(x) maps the ball around the point into itself (Krawczyk).
 
     Args:
-        residual: bound on |R f| at the point.
+        residual: bound on |R f| at the point, where R approximates the inverse of the derivative f'.
         contraction: bound on |I - R f'| at the point.
         curvature: bound on twice the quadratic part of |R f|, divided by the square of the distance from the point.
     """
@@ -212,15 +212,18 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Tests whether every symmetric matrix whose entries round to those of M is positive definite. M is exactly symmetric."""
+    """Tests whether every symmetric matrix whose entries round to those of M is positive definite.
+
+    M must be exactly symmetric.
+    """
     k = len(M)
     diagonal = np.diagonal(M)
     if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # this condition also rejects NaN
         return Definiteness(np.nan, np.nan, False)
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling rounds nothing and changes no sign
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling causes no rounding error
     M = M * scale * scale[:, None]
-    # Rounding errors of the entries and of the decomposition. The sum is doubled, because libraries multiply by reciprocals
-    # instead of dividing, and because these sums are rounded themselves.
+    # Sum of the rounding errors of the entries and of the decomposition. The sum is doubled, because libraries multiply by
+    # reciprocals instead of dividing, and because the sum itself is rounded.
     entries = UNIT * float(np.abs(M).sum(axis=1).max(initial=0.0))
     decomposition = (k + 5) * UNIT * float(np.trace(M))
     shift = 2 * (entries + decomposition) + TINY
@@ -233,17 +236,17 @@ def definiteness(M: Array) -> Definiteness:
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
-    """Returns True if all matrices of a stack are positive definite, for any errors of the entries up to `lost`.
+    """Returns True if all matrices of a stack are positive definite whatever the errors of their entries, up to `lost`.
 
     Args:
-        M: V matrices, shape (V, k, k), of which only the symmetric parts are used.
+        M: V matrices, shape (V, k, k); only their symmetric parts are used.
         lost: largest error of each entry, shape (V, k, k).
     """
     M = (M + M.swapaxes(-1, -2)) / 2
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)
     if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # this condition also rejects NaN
         return False
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling rounds nothing
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling causes no rounding error
     across = scale[..., :, None] * scale[..., None, :]
     M, lost, k = M * across, lost * across, M.shape[-1]
     shift = 2 * (lost.sum(axis=-1).max(axis=-1) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)) + TINY

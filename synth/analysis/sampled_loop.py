@@ -1,21 +1,23 @@
 """Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
-Over a period of T seconds, z and w are functions of time. For a level gamma, there is a discrete plant with as many states,
+Over a period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant with the
+same number of states,
 
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
 Consider any controller that acts at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from w_d to
-z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs as constant states, and w in units of gamma,
+z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). If the held inputs are constant states of the plant, and w is in
+units of gamma, its matrices are
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if S22 is regular for all times in (0, T]. Otherwise, the gain within one period is at least gamma, before any force can
-respond.
+if S22 is invertible for all times in (0, T]. Otherwise, the gain within one period is at least gamma, before any force can
+respond to w.
 
-S itself grows without bound as the period grows. Therefore, Ad, Bd Bd' and Cd' Cd are computed for a short time first. This
-time is then doubled repeatedly. Two consecutive intervals combine to
+S itself grows without bound as the period grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time, which is
+then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
@@ -39,18 +41,18 @@ from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
 from synth.plant.state_space import StateSpace
 
-SHORT = 0.5  # norm of H times the short time; S22 then differs from I by at most 0.65, so it is regular
+SHORT = 0.5  # norm of H times the short time; S22 then differs from I by at most 0.65, so it is invertible
 TERMS = 14  # number of terms in the series of S; the next term is 0.5^15 / 15!, which is below 1e-16
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """Discrete plant of a level. Its states are the n states of the plant and the k held inputs.
+    """Discrete plant that is equivalent to a plant for one level of the L2 gain, with n plant states and k held inputs as states.
 
     Attributes:
-        increment: Ad - I, shape (n + k, n + k).
-        BdBd: Bd Bd', shape (n + k, n + k).
-        CdCd: Cd' Cd, shape (n + k, n + k).
+        increment: Ad - I, for the state matrix Ad of the discrete plant, shape (n + k, n + k).
+        BdBd: Bd Bd', for the input matrix Bd, shape (n + k, n + k).
+        CdCd: Cd' Cd, for the output matrix Cd, shape (n + k, n + k).
     """
 
     increment: Array
@@ -64,21 +66,21 @@ class LiftedPlant:
 
     @property
     def Bd(self) -> Array:
-        """Matrix Bd, a square root of Bd Bd', shape (n + k, n + k)."""
+        """Input matrix Bd, computed as a square root of `BdBd`, shape (n + k, n + k)."""
         return _root(self.BdBd)
 
     @property
     def Cd(self) -> Array:
-        """Matrix Cd, a square root of Cd' Cd, shape (n + k, n + k)."""
+        """Output matrix Cd, computed as a square root of `CdCd`, shape (n + k, n + k)."""
         return _root(self.CdCd).T
 
     def followed_by(self, later: "LiftedPlant") -> "LiftedPlant | None":
-        """Returns this interval combined with the next one.
+        """Returns the discrete plant over this interval and the next interval together.
 
         The result is None if the gain within the combined interval is at least the level.
         """
         product = self.BdBd @ later.CdCd
-        # No eigenvalue exceeds the norm, so the cheap norm is tried first.
+        # No eigenvalue exceeds the norm, and the norm is cheap, so the norm is tried first.
         if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
             return None
         more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))  # M - I and M Bd1 Bd1'
@@ -92,12 +94,12 @@ class LiftedPlant:
 
 
 def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float) -> LiftedPlant | None:
-    """Returns the discrete plant of a level over one period; None if the gain within the period is at least gamma.
+    """Returns the discrete plant for a level gamma over one period; None if the gain within the period is at least gamma.
 
     Args:
         plant: plant in continuous time with m inputs.
-        pieces: duration [s] of each part of the period, and the matrix that selects the m acting inputs from the k held inputs,
-            shape (m, k).
+        pieces: duration [s] of each part of the period, and the matrix, shape (m, k), that selects the m acting inputs from the
+            k held inputs.
         gamma: level of the L2 gain.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
@@ -158,7 +160,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
 
 
 def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """Returns A, Bw and C in units of the states for which H is small, and these units, shape (N,).
+    """Returns A, Bw and C in state units that make H small, and these units, shape (N,).
 
     Only the first n states have dynamics; the other states are constant.
     """
@@ -181,7 +183,7 @@ def _symmetric(matrix: Array) -> Array:
 def _root(matrix: Array) -> Array:
     """Returns L with L L' = matrix.
 
-    The matrix is positive semidefinite up to rounding. The units of its rows may differ.
+    The matrix must be positive semidefinite up to rounding. Its rows may have different units.
     """
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
@@ -191,21 +193,21 @@ def _root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop(CheckedFields):
-    """Plant with a discrete controller.
+    """Closed loop of a continuous plant and a discrete controller.
 
     At a sample, let x be the states of the plant, s the states of the controller, and p = [x; s]. Then
 
         u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the force that acts at the end of the period. The noise of the measurements is a sequence e, whose energy is
-    the sum of its squares. The noise adds `noise` e to [u; s+].
+    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. Its energy is the sum of
+    its squares. It adds `noise` e to [u; s+], where `noise` is a matrix.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
         pieces: parts of the period, in order of time.
         K: gain from p to the computed forces, shape (m, n + k).
         A_register: matrix from p to the next controller states, shape (k, n + k).
-        B_register: matrix from the acting force to the next controller states, shape (k, m).
+        B_register: matrix from the acting force u_a to the next controller states, shape (k, m).
         noise: matrix from the noise to the computed forces and the next controller states, shape (m + k, j); None without
             noise.
     """
@@ -238,10 +240,10 @@ class SampledLoop(CheckedFields):
             K: gain, shape (m, q).
             Cy: matrix of the measurements y = C_y x, shape (q, n).
             sample_period: sample period [s].
-            delay: delay from a measurement to its force [samples], which may be fractional.
+            delay: delay from a measurement to the force computed from it [samples]; may be fractional.
 
         Returns:
-            The loop, as a `SampledLoop`.
+            Sampled-data loop.
 
         Raises:
             InputError: a matrix does not fit the plant.
@@ -256,8 +258,8 @@ class SampledLoop(CheckedFields):
         """Returns the sampled-data loop of a static gain, or of a discrete control law with k states.
 
         Args:
-            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e, where u acts just before a
-                sample.
+            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In y, u is the force just
+                before a sample.
             law: matrix [D, C; B, A] of the law, shape (m + k, q + k); for k = 0, the gain itself.
             pieces: parts of the sample period, in order of time.
             noise: matrix from the noise to the measurements, shape (q, j); j may be 0.
@@ -283,12 +285,12 @@ class SampledLoop(CheckedFields):
 
     @property
     def states(self) -> int:
-        """Number N of states of the loop: [x; s; delayed forces]."""
+        """Number N of states of the loop: plant states x, controller states s, and delayed forces."""
         return self.K.shape[1] + self.largest_delay * len(self.K)
 
     @cached_property
     def input_selections(self) -> list[tuple[float, Array]]:
-        """Duration [s] and input selection of every part of the period, shape (m, m pieces).
+        """Duration [s] of every part of the period, and the matrix that selects its acting inputs, shape (m, m pieces).
 
         Each part of the period has its own held inputs.
         """
@@ -297,13 +299,13 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def increment(self) -> Array:
-        """Transition of [x; held inputs] over one period without disturbance, minus the identity, shape (n + i, n + i)."""
+        """Transition matrix of [x; held inputs] over one period without disturbance, minus the identity, shape (n + i, n + i)."""
         total = np.zeros((0, 0))
         for duration, acting in self.input_selections:
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
-            # exp(A t) - I is the integral of exp(A s) A. It is computed like the effect of a held input with the matrix A,
-            # which avoids cancellation.
+            # exp(A t) - I is the integral of exp(A s) A. This integral is computed like the effect of a held input with the
+            # input matrix A, which avoids cancellation.
             piece = StateSpace(A, A, A[:0], A[:0]).hold_matrices(duration)[1]
             total = piece if not len(total) else piece + total + piece @ total
             assert len(total) == n
@@ -313,8 +315,8 @@ class SampledLoop(CheckedFields):
         """Returns two matrices that act on all N states. The delayed forces are sorted by the time at which they act.
 
         Returns:
-            The matrix to [x; i held inputs] at the sample, shape (n + i, N), and the matrix to the next states except x, shape
-            (N - n, N).
+            The matrix that gives [x; i held inputs] at the sample, shape (n + i, N), and the matrix that gives the next states
+            except x, shape (N - n, N).
         """
         n, (m, known) = len(self.plant.A), self.K.shape
         delayed, late = self.largest_delay * m, self.largest_delay
@@ -335,7 +337,7 @@ class SampledLoop(CheckedFields):
         return noise[:m], noise[m:]
 
     def noise_to_inputs(self) -> tuple[Array, Array]:
-        """Returns the matrices of `register`, but from the noise instead of the states, shapes (n + i, j) and (N - n, j)."""
+        """Returns matrices as in `register`, but from the noise instead of the states, shapes (n + i, j) and (N - n, j)."""
         computed, kept = self.noise_gain
         forces = [np.zeros_like(computed) if piece.delay_samples else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]
@@ -358,13 +360,14 @@ class SampledLoop(CheckedFields):
         return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
-        """Returns the transition matrix of the loop minus the identity, shape (N, N), and the matrix from its states.
+        """Returns the transition matrix of the loop minus the identity, and the matrix from its states to [x; held inputs].
 
         Args:
-            increment: transition of [x; held inputs] over one period minus the identity, shape (n + i, n + i).
+            increment: transition matrix of [x; held inputs] over one period minus the identity, shape (n + i, n + i).
 
         Returns:
-            The transition minus the identity, and the matrix from the N states to [x; held inputs], shape (n + i, N).
+            The transition matrix minus the identity, shape (N, N), and the matrix from the N states to [x; held inputs], shape
+            (n + i, N).
         """
         start, rest = self.register()
         n, N = len(self.plant.A), start.shape[1]
@@ -373,14 +376,14 @@ class SampledLoop(CheckedFields):
     def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
         """Returns the loop at the points zeta = exp(j angle) of the unit circle.
 
-        A delay is a power of zeta at these points, so delayed forces need no states.
+        At these points, a delay is a multiplication by a power of zeta, so delayed forces need no states.
 
         Args:
-            increment: transition of [x; held inputs] over one period minus the identity, as in `closed`.
+            increment: transition matrix of [x; held inputs] over one period minus the identity, as in `closed`.
             angles: angles on the unit circle [rad], shape (F,).
 
         Returns:
-            zeta I minus the transition of p, shape (F, n + k, n + k), and the matrix from p to [x; held inputs], shape
+            zeta I minus the transition matrix of p, shape (F, n + k, n + k), and the matrix from p to [x; held inputs], shape
             (F, n + i, n + k).
         """
         n, known, turned = len(self.plant.A), self.K.shape[1], np.exp(1j * angles)
@@ -397,16 +400,17 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    The discrete plant of a level has additional states besides those of the plant. These states are the previous forces that
-    are still delayed or part of a measurement, the latest force first. Gains do not act on these states. A controller that uses
-    its own previous output is a control law with states.
+    In addition to the states of the plant, the discrete plant of a level has states for previous forces that are still delayed
+    or part of a measurement, the latest force first. Gains do not act on these states. A controller that uses its own previous
+    output is a control law with states.
 
-    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. Held over T seconds, this velocity has the
-    energy T s^2 in units of s. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum of
-    its squares.
+    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its
+    energy is T s^2 in units of w. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum
+    of its squares.
 
     Attributes:
-        plant: plant in continuous time with n states and q measurements. Its Dyu is that of the force just before a sample.
+        plant: plant in continuous time with n states and q measurements. The Dyu of this plant is the effect on y of the force
+            that acts just before a sample.
         pieces: parts of the sample period; there are two parts if the delay includes a fraction of a period.
         rms: rms noise of each measurement, in its unit, shape (q,); None without noise.
     """
@@ -422,7 +426,7 @@ class SampledDataProblem:
 
     @property
     def before(self) -> int:
-        """Age of the force that acts just before a sample [samples]."""
+        """Number of samples since the force that acts just before a sample was computed."""
         return self.pieces[-1].delay_samples + 1
 
     @cached_property
@@ -441,12 +445,12 @@ class SampledDataProblem:
 
     @property
     def without_delay(self) -> "SampledDataProblem":
-        """Same problem without delay, and with measurements that do not depend on the forces."""
+        """The same problem, but without delay and without an effect of the forces on the measurements."""
         return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
     @cached_property
     def noise(self) -> Array:
-        """Matrix from noise of energy 1 to the measurements, shape (q, j), with a column for each noisy measurement."""
+        """Matrix from a noise sequence of energy 1 to the measurements, shape (q, j), one column for each noisy measurement."""
         if self.rms is None:
             return np.zeros((len(self.plant.Cy), 0))
         return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
@@ -472,7 +476,7 @@ class SampledDataProblem:
         lifted_loop = lift_plant(self.plant, intervals, gamma)
         if lifted_loop is None:
             return None
-        start = np.zeros((n + count * m, n + (k + 1) * m))  # from the states and the new force to [x; acting forces]
+        start = np.zeros((n + count * m, n + (k + 1) * m))  # maps the states and the new force to [x; acting forces]
         start[:n, :n] = np.eye(n)
         for i, piece in enumerate(self.pieces):
             acts = n + ((piece.delay_samples or k + 1) - 1) * m  # the new force has the last columns

@@ -1,17 +1,17 @@
 """L2 gain of a sampled-data loop from the continuous w to the continuous z: the exact value and a lower bound.
 
-A level exceeds the gain if its discrete plant (`sampled_loop.py`) gives a stable closed loop with an l2 norm below 1. The
-bilinear image of this loop has the same gains, and it is a continuous loop. The eigenvalues of its Hamiltonian matrix propose
-the angles on the unit circle at which a gain is 1. The gain is evaluated at these angles and between them. At the angle of the
-largest gain, the level is changed until this gain is 1. The level is then the gain for a disturbance whose phase advances by
-this angle per sample.
+The first method tests levels. A level exceeds the gain if the discrete plant of this level (`sampled_loop.py`) gives a stable
+closed loop with an l2 norm below 1. The bilinear transform maps this loop to a continuous loop with the same gains. The
+eigenvalues of the Hamiltonian matrix of the continuous loop give the angles on the unit circle at which a gain is 1. The gain
+is evaluated at these angles and between them. At the angle of the largest gain, the level is changed until this gain is 1. This
+level is then the gain for a disturbance whose phase advances by this angle per sample.
 
-The second method gives a lower bound and does not use levels. This method considers disturbances whose phase advances by an
-angle per sample, and which are polynomials of low degree over each part of the period. For these disturbances, matrix
+The second method gives a lower bound and does not use levels. This method considers disturbances that are polynomials of low
+degree over each part of the period, and whose phase advances by a given angle per sample. For these disturbances, matrix
 exponentials give x and the energy of z exactly. The largest gain among these disturbances is therefore the largest singular
-value of one matrix. This value is the gain of an actual disturbance. The method is a fast lifting (Keller, Anderson 1992), but
-of z itself, not of its samples. The worst disturbance is smooth, and the gain is stationary there. The error thus has the order
-2 (degree + 1) in the length of the parts.
+value of one matrix, and an actual disturbance reaches this gain. The method is a fast lifting (Keller, Anderson 1992), but it
+uses z itself instead of samples of z. The worst disturbance is smooth, and small changes of it do not affect the gain to first
+order. The error is therefore of the order 2 (degree + 1) in the length of the parts.
 """
 
 import math
@@ -30,15 +30,15 @@ from synth.analysis.stability import balance, sampled_growth
 from synth.plant.generalized import Plant
 
 DEGREE = 3  # degree of the polynomials
-FEWEST, MOST = 4, 64  # limits of the initial number of parts of each hold interval
+FEWEST, MOST = 4, 64  # limits for the initial number of parts into which each hold interval is divided
 LONGEST = 1.0  # largest length of a part, as a multiple of 1 / (fastest rate of the plant)
-NODES = 12  # nodes of a quadrature; its error for exp(2 t), the worst integrand, is 1e-30
-MOST_COLUMNS = 1200  # limit of the columns of the matrix; a larger matrix takes seconds
-SHORT = 1e-7  # relative distance from the norm below which a lower bound is not refined
+NODES = 12  # number of nodes of a quadrature; its error for exp(2 t), the worst integrand, is 1e-30
+MOST_COLUMNS = 1200  # largest number of columns of the matrix; a larger matrix would take seconds
+SHORT = 1e-7  # a lower bound this close to the norm, in relative terms, is not refined
 
 
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
-    """Returns `reached_gain` at an angle. The number of parts is doubled until the gain is near the norm, or up to a limit."""
+    """Returns `reached_gain` at an angle, with parts doubled until the gain is close to the norm or a limit is reached."""
     fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
     each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
     most = max(FEWEST, MOST_COLUMNS // each)
@@ -57,14 +57,14 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     Args:
         loop: stable loop.
         angle: phase advance of the disturbance per sample [rad]; NaN for a disturbance of one period only.
-        parts: number of parts of every hold interval in the period.
+        parts: number of parts into which each hold interval of the period is divided.
         degree: degree of the polynomials.
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
     width = n + len(loop.input_selections) * len(loop.K)
 
-    # Matrices to the current [x; held inputs]: `free` from the values at the sample, `forced` from all polynomials so far
+    # The current [x; held inputs] is `free` times the values at the sample, plus `forced` times all polynomials so far
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
     for duration, acting in loop.input_selections:
@@ -90,13 +90,14 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
 
 def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
-    """Returns the transition of the state over h seconds, the effect of polynomials on it, and a root of the energy of z.
+    """Returns the transition matrix of the state over h seconds, the effect of polynomials on it, and a root of the energy of z.
 
     The energy matrix itself is never computed: if the units of the states differ a lot, rounding would destroy its small
-    entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses it without loss of
-    digits in any column.
+    entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses the root without loss
+    of digits in any column.
 
-    A polynomial is given by its coefficients of Legendre polynomials of energy 1. The states after the n-th are constant.
+    A polynomial is given by its coefficients in a basis of Legendre polynomials of energy 1. Only the first n states have
+    dynamics; the other states are constant.
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)
@@ -109,7 +110,8 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     larger[:size, :size], larger[:size, size : size + r] = A, Bw
     larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
     seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
-    # Over a short time, z is nearly a polynomial, and the quadrature gives its energy exactly. Then the time is doubled.
+    # Over a short time, z is nearly a polynomial, and the quadrature gives its energy exactly. Then the time is doubled
+    # repeatedly.
     doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
     short = h / 2**doublings
     nodes, weights = legendre.leggauss(NODES)
@@ -128,10 +130,10 @@ def _small(root: Array) -> Array:
     return np.asarray(np.linalg.qr(root, mode="r"))
 
 
-CLOSE = 1e-11  # relative distance from 1 below which a gain counts as 1
+CLOSE = 1e-11  # a gain within this relative distance of 1 counts as 1
 ROUNDS = 100  # largest number of iterations of a search; most searches need fewer than ten
-ZOOMS = 4  # sevenfold refinements of the interval around a peak, before the level sets
-NOTHING = 1e-15  # gain relative to the first level below which the gain counts as zero
+ZOOMS = 4  # sevenfold refinements of the interval around a peak, before the level crossings are computed
+NOTHING = 1e-15  # a gain below this multiple of the first level counts as zero
 AT_ONCE = 4096  # number of frequencies that are computed together; more would need hundreds of megabytes
 
 
@@ -139,15 +141,15 @@ AT_ONCE = 4096  # number of frequencies that are computed together; more would n
 def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
     """Returns the L2 gain of a sampled-data loop from w to z, with a relative error of at most 1e-8.
 
-    If the loop has measurement noise, the noise counts as a further disturbance.
+    If the loop has measurement noise, the noise counts as an additional disturbance.
 
     Args:
         loop: sampled-data loop, stable or not.
         near: positive estimate of the gain, from which the search starts.
 
     Returns:
-        The gain with a lower and an upper level, and the gain of an actual disturbance, as a `SampledNorm`. All are infinite if
-        the loop is not stable.
+        The L2 gain, levels just below and above it, and the gain of an actual disturbance, as a `SampledNorm`. All of them are
+        infinite if the loop is not stable.
 
     Example:
         >>> from synth import GeneralizedPlant, SampledLoop, sampled_norm
@@ -168,21 +170,21 @@ def stable(loop: SampledLoop) -> bool:
 
 
 def _poles(loop: SampledLoop) -> Array | None:
-    """Returns the poles of the loop from sample to sample; None if the loop is not stable."""
+    """Returns the poles of the transition matrix from one sample to the next; None if the loop is not stable."""
     change, _ = loop.closed(loop.increment)
     transition = np.eye(len(change)) + change
     return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
 
 
 class _Level:
-    """Closed loop with the discrete plant of a level."""
+    """Closed loop of the controller and the discrete plant of a level."""
 
     def __init__(self, loop: SampledLoop, plant: LiftedPlant, level: float) -> None:
         self.loop, self.plant, self.level = loop, plant, level
         self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
 
     def gains(self, angles: Array) -> Array:
-        """Returns the largest singular value from w_d to z_d at each of the angles [rad], shape (F,)."""
+        """Returns the largest singular value from w_d to z_d at each of F angles on the unit circle [rad], shape (F,)."""
         if len(angles) > AT_ONCE:
             return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
         matrix, start = self.loop.at_angles(self.plant.increment, angles)
@@ -228,7 +230,7 @@ class _Search:
 
         Args:
             loop: stable sampled-data loop.
-            poles: poles of the loop from sample to sample, complex.
+            poles: poles of the transition matrix from one sample to the next, complex.
         """
         self.loop = loop
         self.poles = np.log(poles[poles != 0].astype(complex))  # poles of the equivalent continuous loop [1/sample]
@@ -259,7 +261,7 @@ class _Search:
         return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
-        """Returns a level that has a discrete plant, a lower level without one (or 0), and the loop of the first level."""
+        """Returns a level that has a discrete plant, a lower level that has none (or 0), and the loop of the higher level."""
         below = 0.0
         for _ in range(ROUNDS):
             there = self._at(level)
@@ -269,7 +271,7 @@ class _Search:
         raise ArithmeticError("no bound was found on the gain of the sampled-data loop within one period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of a level and its angle [rad].
+        """Returns the largest gain of the discrete loop of a level, and the angle of this gain [rad].
 
         The search uses a grid of angles that is dense near every pole, and then refines the highest points.
         """
@@ -283,9 +285,9 @@ class _Search:
         return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
 
     def _above(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of a level at and between its crossings of 1, and its angle [rad] if the gain exceeds 1.
+        """Returns the largest gain of a level at and between the angles where a gain is 1, and its angle [rad] if it exceeds 1.
 
-        If the gain does not exceed 1, the second value is 0.
+        If the largest gain does not exceed 1, the second value is 0.
         """
         crossings = there.crossings()
         proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2, [np.pi]])
@@ -297,8 +299,8 @@ class _Search:
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
         """Returns the level at which the gain at an angle [rad] is 1, and a lower level.
 
-        The third value is True if the lower level has no discrete plant. The search is a secant iteration in logarithms. The
-        iteration is bracketed by a level that is too low and a level that is high enough.
+        The third value is True if the lower level has no discrete plant. The search is a secant iteration in the logarithms of
+        level and gain, between a level that is too low and a level that is high enough.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

@@ -1,4 +1,4 @@
-"""Specifications of a controller, and the norm of a sampled-data loop with levels below and above it."""
+"""Specifications of a controller, and the norm of a sampled-data loop as an interval between two levels."""
 
 import math
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ import numpy as np
 from models.common.printed import digits, finite
 from models.document.field import Field
 
-SAMPLED_NORM = "sampled_norm"  # key of the sampled-data loop's norm in records; checked if the implementation is known
+SAMPLED_NORM = "sampled_norm"  # key of the sampled-data loop's norm in records; checked if the file describes an implementation
 ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"  # for weighted uncertainties
-SAME = 1e-9  # relative tolerance for rounding if a value equals its limit
+SAME = 1e-9  # relative tolerance for rounding when a value is compared with its limit
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,12 @@ class Specification:
     Attributes:
         what: name of the quantity.
         value: largest known value.
-        proved: proved upper bound; None if the value is exact up to rounding.
+        proved: proved upper bound on the quantity; None if `value` is exact up to rounding.
         at_most: largest allowed value; None if the quantity is minimised.
         unit: unit of `value`, `proved` and `at_most`.
-        where: description of the case in which the value occurs; may be empty.
-        proof: type of the proof, and whether it is exact or computed twice. Empty unless the quantity concerns uncertainties.
+        where: description of the case in which `value` occurs; may be empty.
+        proof: type of the proof, and whether the proof is exact or was computed twice; empty unless the quantity concerns
+            uncertainties.
     """
 
     what: str
@@ -38,7 +39,7 @@ class Specification:
 
     @property
     def holds(self) -> bool:
-        """True if the proved bound (or the exact value) is at most the limit."""
+        """True if the proved bound, or the exact value, does not exceed the limit."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
@@ -78,7 +79,7 @@ class Specification:
 
 
 FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")  # frequency of a peak or a crossover
-ABOVE, BELOW = 1e-8, 1e-9  # relative distances from the norm of the levels above and below it
+ABOVE, BELOW = 1e-8, 1e-9  # distances of the levels above and below the norm, relative to the norm
 
 
 @dataclass(frozen=True)
@@ -87,11 +88,12 @@ class SampledNorm:
 
     Attributes:
         value: L2 gain; infinite if the loop is not stable.
-        lower: level below the gain.
-        upper: level above the gain.
+        lower: level just below the gain.
+        upper: level just above the gain.
         angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if there is no worst angle.
-        reached: gain of an actual disturbance, at most the norm, computed by a second method (`sampled_norm.py`).
-        inside: True if the largest gain occurs within one period. Then no controller with this sample rate reduces the gain.
+        reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); it does not exceed the norm.
+        inside: True if the largest gain already occurs within one period; then no controller with this sample rate can reduce
+            the gain.
     """
 
     value: float

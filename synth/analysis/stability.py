@@ -1,12 +1,12 @@
 """Stability of a loop (stable, marginal or unstable), and modes that make stabilisation impossible.
 
-Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. Consider a pole with the imaginary
-part omega. This pole counts as lying on the imaginary axis *to rounding* if such an E can move an eigenvalue to j omega. This
-is the case if the smallest singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra,
-section 2). For a simple pole, the allowed distance from the axis is the condition number of the eigenvalue times |E|.
+Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. A pole with the imaginary part
+omega is on the imaginary axis *to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
+singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
+the allowed distance from the axis is the condition number of the eigenvalue times |E|.
 
-The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole at the origin by
-sqrt(eps), and the pole still counts as marginal. A double pole at -1 moves by the same distance, and it still counts as stable.
+The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole by about
+sqrt(eps). If the pole is at the origin, it still counts as marginal; if it is at -1, it still counts as stable.
 
 A controller can stabilise a plant only if every mode that does not decay is controllable and observable.
 """
@@ -26,9 +26,9 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
-FAR = 1e3  # multiple of the first-order rounding error; a pole farther from the axis does not lie on it
-LARGE, SEVERAL = 64, 8  # numbers of states and of points above which a Schur form saves time
-PART = 400  # largest number of rows in a part of the Schur form; with more rows, the bound becomes too weak
+FAR = 1e3  # multiple of the first-order rounding error; a pole that is farther from the axis is not on the axis
+LARGE, SEVERAL = 64, 8  # if the numbers of states and of points exceed these limits, a Schur form saves time
+PART = 400  # largest number of rows in a part of the Schur form; the bound is too weak for larger parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class Stability:
 
     Attributes:
         poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, poles z without a unit.
-        on_axis: mask of the poles on the imaginary axis (discrete: on the unit circle) to rounding, shape (n,).
-        rounding: norm of E [rad/s]; without a unit for a discrete loop.
+        on_axis: mask of the poles that are on the imaginary axis (discrete: on the unit circle) up to rounding, shape (n,).
+        rounding: norm of E, the effect of rounding errors on A [rad/s]; without a unit for a discrete loop.
         vectors: right eigenvectors of the balanced A, each of length 1, complex, shape (n, n).
         dt: sample period of a discrete loop [s]; None for a continuous loop.
     """
@@ -61,21 +61,24 @@ class Stability:
 
     @property
     def verdict(self) -> str:
-        """`STABLE`, `MARGINAL` or `UNSTABLE`. Marginal: no pole is unstable beyond rounding, but some pole does not decay."""
+        """`STABLE`, `MARGINAL` or `UNSTABLE`.
+
+        A marginal loop has a pole that does not decay, but no pole that is unstable beyond rounding.
+        """
         if np.any(self.growth[~self.on_axis] > 0):
             return UNSTABLE
         return MARGINAL if np.any(self.on_axis) else STABLE
 
     @property
     def stable(self) -> bool:
-        """True if every pole is stable by more than rounding: left of the imaginary axis, or (discrete) in the unit circle."""
+        """True if no pole is unstable or so close to the stability limit that rounding could hide an unstable pole."""
         return self.verdict == STABLE
 
     @property
     def worst(self) -> complex:
-        """Pole that decides about stability: the fastest growing pole, or a pole on the axis if no pole grows.
+        """Pole that decides whether the loop is stable: the fastest growing pole, or a pole on the axis if no pole grows.
 
-        If there are no poles, the value is -inf, or z = 0 for a discrete loop.
+        For a loop without poles, the value is -inf, or z = 0 if the loop is discrete.
         """
         deciding, growth = self.poles, self.growth
         if self.verdict == MARGINAL:
@@ -86,7 +89,7 @@ class Stability:
 
     @property
     def words(self) -> str:
-        """One-line description of the verdict and of the pole that decides."""
+        """One-line description of the verdict and of the pole that decides it."""
         if self.dt is not None:
             where = pole_text(self.worst, self.dt)
             if self.verdict == STABLE:
@@ -118,7 +121,7 @@ def stability(A: Array, dt: float | None = None) -> Stability:
 
 
 def stability_of_balanced(A: Array) -> Stability:
-    """Returns the `stability` of a continuous loop from its balanced matrix."""
+    """Returns the stability of a continuous loop, given its balanced state matrix; see `stability`."""
     poles, conditions, vectors = _eigen(A)
     on_axis = _within_rounding(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
     return Stability(poles, on_axis, rounding(A), vectors)
@@ -132,8 +135,8 @@ def sampled_growth(Phi: Array) -> float:
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
-    # Poles outside the circle are checked first. If one is outside by more than rounding, the hundreds of poles that a delay
-    # can add need no check.
+    # Poles outside the unit circle are checked first. If one of them is outside by more than rounding, the hundreds of poles
+    # that a delay can add need no check.
     outside = size > 1
     on_circle = _on_circle(Phi, poles, conditions, outside)
     if np.any(outside & ~on_circle):
@@ -143,7 +146,7 @@ def sampled_growth(Phi: Array) -> float:
 
 
 def is_stable(A: Array, dt: float | None = None) -> bool:
-    """Returns True if every pole is stable by more than rounding; see `stability`."""
+    """Returns True if every pole is clearly stable, despite rounding errors; see `stability`."""
     return stability(A, dt).stable
 
 
@@ -163,7 +166,7 @@ def rounding(A: Array) -> float:
 def pole_text(pole: complex, dt: float | None = None) -> str:
     """Formats a pole or a conjugate pair with four digits and its unit. A real pole is a rate of growth or decay.
 
-    For a discrete loop, z has enough digits to differ from the unit circle.
+    For a discrete loop, the text has enough digits to show that z is not on the unit circle.
     """
     if dt is not None:
         size = abs(pole)
@@ -187,17 +190,17 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
-    """Returns a mask of the eigenvalues on the unit circle to rounding, shape (n,), among those selected by `asked`."""
+    """Returns a mask, shape (n,), of the eigenvalues selected by `asked` that are on the unit circle up to rounding."""
     distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
     return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
+    """Returns a mask, shape (n,), of the eigenvalues of a balanced matrix that rounding could move to the given points."""
     allowed = rounding(A)
-    # The condition number bounds the movement of a pole to first order. Poles far beyond this distance are skipped.
+    # The condition number bounds the movement of a pole to first order. Poles that are much farther away are skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
-    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # conjugate points have the same answer
+    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # the result is the same for conjugate points
     known = _nearly_singular(A, dict.fromkeys(pairs), allowed)
     mask = np.zeros(len(A), dtype=bool)
     mask[near] = [known[pair] for pair in pairs]
@@ -205,19 +208,19 @@ def _within_rounding(A: Array, conditions: Array, points: Array, distances: Arra
 
 
 def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: float) -> dict[tuple[float, float], bool]:
-    """Returns, for each point p, whether a singular matrix exists within a distance of A - p I.
+    """Returns, for each point p, True if a singular matrix exists within the given distance of A - p I.
 
-    This is the case if the smallest singular value of A - p I is at most the distance. Points are given by real and imaginary
-    part.
+    This is the case if the smallest singular value of A - p I is at most the distance. Each point is given by its real part and
+    its imaginary part.
     """
     points = list(points)
-    # For the many states of a delay, a Schur form is computed once. A bound at a point then takes far less time.
+    # A delay adds many states. In this case, a Schur form is computed once, so that a bound at each point takes far less time.
     schur = len(A) > LARGE and len(points) > SEVERAL
     inverse_size = _Triangle(A).inverse_size if schur else lambda p: float(np.linalg.norm(np.linalg.inv(A - p * np.eye(len(A)))))
 
     def at(p: complex) -> bool:
         try:
-            # A lower bound on the smallest singular value takes a tenth of the time of the value itself.
+            # Computing a lower bound on the smallest singular value takes a tenth of the time that the value itself takes.
             if 1 / inverse_size(p) > 2 * distance:
                 return False
         except np.linalg.LinAlgError:
@@ -228,7 +231,7 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
 
 
 class _Triangle:
-    """Schur form T of a matrix, divided into k by k parts."""
+    """Schur form T of a matrix, divided into k x k parts."""
 
     def __init__(self, A: Array) -> None:
         T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
@@ -267,32 +270,32 @@ def _inverse_of_triangle(matrix: Array) -> Array:
 
 
 def beside_weights(plant: Plant, A: Array) -> Array:
-    """Returns the state matrix of a closed loop without the states of weighting filters, whose poles no controller moves.
+    """Returns the state matrix of a closed loop without the states of weighting filters, whose poles no controller can change.
 
     Args:
         plant: plant without controller, n states.
-        A: state matrix of a loop whose first n states are those of the plant, shape (n + k, n + k).
+        A: state matrix of a loop whose first n states are the states of the plant, shape (n + k, n + k).
     """
     n = len(plant.A)
     own = np.r_[: n - plant.weights, n : len(A)]
     return A[np.ix_(own, own)] if plant.weights else A
 
 
-ZERO = 1e-12  # size relative to the sum of the terms' sizes; a smaller sum counts as zero
-UNCONTROLLABLE = 1e-8  # relative effect of an input on a mode below which the input does not control the mode
+ZERO = 1e-12  # a sum smaller than this multiple of the sum of its terms' magnitudes counts as zero
+UNCONTROLLABLE = 1e-8  # an input whose relative effect on a mode is smaller does not control the mode
 
 
 def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
-    """Returns the uncontrollable modes that do not decay, with each conjugate pair listed once.
+    """Returns the uncontrollable modes that do not decay; each conjugate pair is listed once.
 
     Args:
         A: state matrix, shape (n, n).
         B: input matrix, shape (n, m).
-        dt: sample period of a discrete plant [s], None for a continuous plant. For a discrete plant, A and B are those of its
-            differences (`Plant.differences`), and the eigenvalues are z.
+        dt: sample period of a discrete plant [s], None for a continuous plant. For a discrete plant, A and B describe its
+            differences (`Plant.differences`), and the eigenvalues are poles z.
 
     Returns:
-        The eigenvalue [rad/s] (discrete: z) and the left eigenvector of each mode.
+        For each mode, its eigenvalue [rad/s] (discrete: z) and its left eigenvector.
     """
     balanced, scale = balance(A)
     inputs = B / scale[:, None]
@@ -313,7 +316,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Explains why no controller can stabilise the plant. The result is empty if no single mode prevents stabilisation.
+    """Explains why no controller can stabilise the plant. The list is empty if no single mode prevents stabilisation.
 
     Args:
         plant: plant to check. If it has no measurements, every state counts as measured.
@@ -336,11 +339,11 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Explains why no static output feedback stabilises the plant. The result is empty if no reason is known.
+    """Explains why no static output feedback stabilises the plant. The list is empty if no reason is known.
 
-    The plant must be stabilisable and detectable. A gain moves the sum of the poles by tr(K C_y B), and it multiplies their
-    product by det(I - K C_y (-A)^-1 B). For a discrete plant, the same holds for its differences, in which z = 1 corresponds to
-    0. Poles that no gain moves, such as those of a filter in a weight, decay and are not part of the sum.
+    The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and it multiplies their
+    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for its differences, in which z = 1 corresponds to 0.
+    The sum does not include decaying poles that no gain can change, such as the poles of a filter in a weight.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:
@@ -369,7 +372,7 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
 
 
 def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
-    """Returns the real parts of simple poles that no gain moves, because they are not controllable or not observable."""
+    """Returns the real parts of simple poles that no gain can change, because they are not controllable or not observable."""
     balanced, scale = balance(A)
     inputs, outputs, size, fixed = B / scale[:, None], Cy * scale, np.linalg.norm(balanced, 2) or 1.0, list[float]()
     inputs = inputs / np.maximum(np.linalg.norm(inputs, axis=0), np.finfo(float).tiny) * size
@@ -385,5 +388,5 @@ def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:
-    """Returns the name of the state with the largest entry of an eigenvector."""
+    """Returns the name of the state that has the largest entry in an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]

@@ -1,33 +1,33 @@
-"""Gahinet-Apkarian inequality of a plant, without the terms of the controller, in exact integers and in floats.
+"""Gahinet-Apkarian inequality of a plant, from which the controller is eliminated, in exact integers and in floats.
 
-For state feedback, a Y of (21) exists if and only if N' (21) N < 0 at Y = 0. Here N is a basis of all q with [B; D]' q = 0 (the
-elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w, the same inequality of the transposed
-plant must hold, too, with the unknown S instead of X.
+For state feedback, LMI (21) has a solution Y if and only if N' M N < 0, where M is the left side of (21) at Y = 0. Here N is a
+basis of all q with [B; D]' q = 0 (the elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w,
+the same inequality must also hold for the transposed plant, with the unknown S instead of X.
 
-**Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v. The same is true along A B v, and so on,
-as long as these directions are not observable in z. The columns of F span these directions (`_closure`). A dual solution cannot
-weight them. Therefore N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, where J is a basis of all
-rows with J F = 0. For the transposed plant (B = C_y', D = Dyw'), the rows of F' are the states that y and its derivatives
-determine without influence of w.
+**Directions without cost.** If an input v does not appear in z (D v = 0), X can grow without bound along B v. X can also grow
+along A B v, A^2 B v and so on, as long as these directions are not observable in z. The columns of F span these directions
+(`_closure`). A dual solution cannot give weight to these directions. Therefore, N is also orthogonal to [F; 0] and [A F; C F],
+and X appears only as J X J', where J is a basis of all rows with J F = 0. For the transposed plant (B = C_y', D = Dyw'), the
+rows of F' give the states that follow from y and its derivatives whatever w is.
 
-X also grows without cost along stable states that are unobservable in z.
+X can also grow without bound along stable states that are unobservable in z.
 
 **Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
-He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs without cost do not lead to
-the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the states that inputs
-can bring to zero within some samples while z is zero.
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. For a discrete plant, inputs that
+do not appear in z do not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F
+contains the states that inputs can bring to zero within some samples while z is zero.
 
-All ranks are determined in integers from the given numbers, without tolerances. The result therefore does not depend on the
-magnitude of a direction, nor on the units of states, inputs, time, w and z.
+All ranks are determined in integers from the given numbers, without tolerances. The result therefore depends neither on the
+magnitude of a direction nor on the units of states, inputs, time, w and z.
 
-**Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X also grows along this zero without cost. Dual
-solutions then belong to the left deflating subspace of the other zeros,
+**Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X can also grow without bound along the direction of
+this zero. Dual solutions then belong to the left deflating subspace of the other zeros. With a basis L of this subspace,
 
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
 Lambda exactly. Both are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on the axis
-to rounding are ignored. This makes the bound weaker, but it remains valid.
+up to rounding are ignored, which makes the bound weaker, but not invalid.
 """
 
 import math
@@ -53,20 +53,20 @@ from synth.analysis.rigorous import (
 from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power
 
-GROWTH = 1e-9  # real part relative to |A| below which a mode does not count as growing
-AXIS = 1e-9  # real part relative to the largest zero below which a zero counts as lying on the axis
+GROWTH = 1e-9  # a mode counts as growing if its real part, relative to |A|, exceeds this value
+AXIS = 1e-9  # a zero counts as lying on the axis if its real part, relative to the largest zero, is below this value
 STEPS = 3  # number of Newton steps
 SAFE = 4.0  # multiple of the rounding error of a sum of products
 
 
 @dataclass(frozen=True, eq=False)
 class AntistablePart:
-    """Inequality He(Lambda X') + eta b b' - c c' < 0 of the zeros in the open right half plane.
+    """Inequality He(Lambda X') + eta b b' - c c' < 0 that belongs to the zeros in the open right half plane.
 
     Attributes:
-        P: L U with its columns divided by `columns`, shape (a', a).
+        P: product L U, whose columns are divided by `columns`, shape (a', a).
         columns: powers of two that scale the columns, shape (a,).
-        Q: Lambda, shape (a', a').
+        Q: matrix Lambda, whose eigenvalues are the zeros, shape (a', a').
         b: matrix of the disturbances, shape (a', r).
         c: matrix of the outputs, shape (a', d).
         off: bounds on the error of each entry of P, Q, b and c.
@@ -80,26 +80,26 @@ class AntistablePart:
     off: tuple[float, float, float, float]
 
     def reduced(self, X: Array) -> Array:
-        """Returns X' of this part from an X of the whole inequality, shape (a', a')."""
+        """Returns the X' of this part that belongs to an X of the whole inequality, shape (a', a')."""
         P = self.P * self.columns
         return P @ X @ P.T
 
     def whole(self, X: Array) -> Array:
-        """Returns an X of the whole inequality, shape (a, a), from X' of this part."""
+        """Returns an X of the whole inequality that belongs to an X' of this part, shape (a, a)."""
         back = np.linalg.pinv(self.P) / self.columns[:, None]
         return back @ X @ back.T
 
 
 @dataclass(frozen=True, eq=False)
 class SynthesisInequality:
-    """N' (21) N < 0, written as He(Q X U') + eta b b' - c c' < 0 for X in the a coordinates without directions without cost.
+    """Inequality He(Q X U') + eta b b' - c c' < 0, LMI (21) without the controller; see the module docstring.
 
     Attributes:
         J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
         coordinates: indices of a states; the corresponding columns of J form a diagonal matrix.
-        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The true matrices are these integers divided by
-            `scale`; Q and b are also divided by `unit`.
-        unit, scale: powers of two.
+        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). Divided by `scale`, and Q and b also by `unit`,
+            they are the matrices of the inequality.
+        unit, scale: powers of two by which the matrices of integers are divided.
         N: basis of all q with [B; D]' q = 0 that are orthogonal to the directions without cost, up to a factor; integers, shape
             (n + d, k).
     """
@@ -116,7 +116,7 @@ class SynthesisInequality:
 
     @classmethod
     def of(cls, plant: Plant) -> "SynthesisInequality":
-        """Returns the inequality of state feedback; for the transposed plant, this is the inequality of the observer."""
+        """Returns the inequality for state feedback. For the transposed plant, this is the inequality for the observer."""
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
@@ -136,7 +136,7 @@ class SynthesisInequality:
 
     @cached_property
     def antistable(self) -> AntistablePart | None:
-        """Part of the inequality that remains without the stable zeros; None if there are no stable zeros."""
+        """Part of the inequality that belongs to the unstable zeros; None if there are no stable zeros."""
         return _antistable_part(self)
 
     def floats(self) -> tuple[Array, Array, Array, Array]:
@@ -148,7 +148,7 @@ class SynthesisInequality:
 def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
     """Returns J_other J_one' as integers, shape (a_other, a_one), and their denominator.
 
-    Both J are scaled to the identity in their coordinates.
+    Each J is scaled so that it is the identity in the coordinates of its inequality.
     """
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     denominator = math.lcm(*columns) * math.lcm(*rows)
@@ -158,7 +158,8 @@ def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Ar
 def _closure(states: Array, inputs: Array) -> Array:
     """Returns the directions without cost of a continuous plant, as columns, shape (n, f).
 
-    The columns span the smallest space that contains B v if D v = 0 and, with every f, also A f + B v if C f + D v = 0.
+    The columns span the smallest space that contains every B v with D v = 0 and, for every f in the space, every A f + B v with
+    C f + D v = 0.
     """
     n = states.shape[1]
     F = inputs[:n, :0]
@@ -174,7 +175,7 @@ def _closure(states: Array, inputs: Array) -> Array:
 
 
 def _zeroed_states(states: Array, inputs: Array) -> Array:
-    """Returns the states f that inputs can bring to zero within some samples while z is zero, as columns, shape (n, f)."""
+    """Returns the states that inputs can bring to zero within some samples while z is zero, as columns, shape (n, f)."""
     n = states.shape[1]
     F = inputs[:n, :0]
     while True:
@@ -188,7 +189,7 @@ def _zeroed_states(states: Array, inputs: Array) -> Array:
 
 
 def _hidden_states(plant: Plant, states: Array) -> Array:
-    """Returns the states that are unobservable in z without control, as columns, shape (n, h); no column if some states grow.
+    """Returns the states that are unobservable in z without control, as columns, shape (n, h); none if some of these states grow.
 
     A wrong decision about growth makes the bound weaker, but not invalid.
     """
@@ -213,7 +214,7 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
 
 @np.errstate(all="ignore")  # infinities and NaN lead to no enclosure
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
-    """Returns the part of the inequality that belongs to the unstable zeros.
+    """Returns the part of the inequality that belongs to the unstable zeros, if it can be separated.
 
     The result is None if all zeros are unstable, if U is not square, or if no enclosure is found.
     """
@@ -249,7 +250,7 @@ def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
 
 
 def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, Array, float] | None:
-    """Returns W and N with Q' W near U' W N, and a radius within which an exact solution lies; None if this is not proved."""
+    """Returns W and N with Q' W near U' W N, and a radius within which an exact solution provably lies; None without a proof."""
     a, k = W.shape
     if not k:
         return W, N, 0.0
@@ -287,7 +288,7 @@ def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Arr
 
 
 def _unit(a: int) -> float:
-    """Returns a bound on the relative rounding error of sums of products of matrices with a rows."""
+    """Returns a bound on the relative rounding error of sums of `a` products."""
     return SAFE * (2 * a + 4) * float(np.finfo(float).eps)
 
 

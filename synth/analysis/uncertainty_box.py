@@ -1,13 +1,14 @@
 """Proofs of stability and of norm bounds for a box of gain errors: each measurement and each force has its own factor.
 
-The acting gain is S_u K S_y with diagonal matrices S_y and S_u. Consider one factor t, with the other factors fixed. As a
-function of t, the matrices A, C, Bw and Dw of the loop are affine in t / (1 - c t), or in t if no measurement contains a force.
-This quotient is monotone as long as the algebraic loop through the measurements is well-posed. The algebraic loop is well-posed
-in the whole box if its determinant, which is affine in every factor, has the same sign at all corners.
+With these factors on the diagonals of S_y and S_u, the acting gain is S_u K S_y. Consider one factor t, with the other factors
+fixed. The matrices A, C, Bw and Dw of the loop are affine functions of t / (1 - c t) with a constant c, or of t if no
+measurement contains a force. This quotient is monotone as long as the algebraic loop through the measurements is well-posed.
+The algebraic loop is well-posed in the whole box if its determinant, which is affine in every factor, has the same sign at all
+corners.
 
-For a fixed X, the largest eigenvalue of LMI (20) is convex in the quotient, because the disturbance appears at most squared.
-The eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the bound in the
-whole box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
+For a fixed X, the largest eigenvalue of LMI (20) is convex in the quotient, because the disturbance matrices appear at most
+squared. The eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the
+bound in the whole box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
 """
 
 import itertools
@@ -24,12 +25,13 @@ from synth.analysis.rigorous import UNIT, definite_beyond, definiteness
 from synth.plant.generalized import Plant
 
 MOST = 12  # largest number of uncertain factors; a box then has 4096 corners
-REGULAR = 1e-6  # smallest determinant of a well-posed loop through the measurements, relative to the largest determinant
+# smallest determinant of a well-posed algebraic loop through the measurements, relative to the largest determinant
+REGULAR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Intervals of the factors of q measurements, followed by those of m forces.
+    """Intervals of the factors of q measurements, followed by the intervals of the factors of m forces.
 
     Attributes:
         low, high: lower and upper ends of the intervals, shapes (q + m,).
@@ -69,11 +71,11 @@ class ScaledGain:
     """Closed loops with the gains S_u K S_y, for different factors of the measurements and forces.
 
     Attributes:
-        plant: plant in continuous time with n states, m inputs, d controlled outputs, r disturbances and q measurements.
+        plant: plant in continuous time with n states, m inputs, d outputs z, r disturbances w and q measurements.
         K: nominal gain, shape (m, q).
         before: gain K0 that is subtracted from every gain, shape (m, q); see `plant.discrete.mapped`.
-        readings, forces: numbers of leading columns of K for measurements, and of leading rows for forces. The remaining
-            columns and rows belong to the states of the control law.
+        readings, forces: numbers of the first columns of K, which belong to measurements, and of the first rows, which belong
+            to forces. The other columns and rows belong to the states of the control law.
     """
 
     plant: Plant
@@ -115,7 +117,7 @@ class ScaledGain:
         return system, np.vstack([plant.B, plant.D]), np.hstack([plant.Cy, plant.Dyw])
 
     def loops(self, factors: Array) -> Array:
-        """Returns [A Bw; C Dw] of the closed loops for factors of shape (..., q + m), shape (..., n + d, n + r).
+        """Returns [A Bw; C Dw] of the closed loops, shape (..., n + d, n + r), for factors of shape (..., q + m).
 
         Raises:
             LinAlgError: an algebraic loop through the measurements is not well-posed.
@@ -134,7 +136,10 @@ class ScaledGain:
         return bool(np.all(np.linalg.eigvals(self.loops(factors)[..., :n, :n]).real < 0))
 
     def sizes(self, factors: Array) -> Array:
-        """Returns `loops` with every term replaced by its absolute value. Rounding errors are proportional to this sum."""
+        """Returns the same sums as `loops`, but of the absolute values of the terms.
+
+        Rounding errors are proportional to these sums.
+        """
         scaled = np.abs(self.scaled(factors)) + 2 * np.abs(self.before)
         if np.any(self.plant.Dyu):
             size = np.abs(np.linalg.inv(self.return_difference(self.scaled(factors))))
@@ -156,11 +161,11 @@ def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BoxProof:
-    """Proof of a bound for a box: the box is split into parts, and each part has an X that satisfies (20).
+    """Proof of a bound for a box of gain errors: the box is split into parts, and each part has an X that satisfies LMI (20).
 
     Attributes:
         eta: gamma^-2.
-        parts: boxes that together fill the whole box, each with its X of shape (n, n).
+        parts: smaller boxes that together fill the whole box, each with its X of shape (n, n).
     """
 
     kind: ClassVar[str] = "common X, exact"
@@ -179,7 +184,7 @@ class BoxProof:
 
 
 def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
-    """Returns True if X satisfies (20) at every corner of a box, despite rounding.
+    """Returns True if X satisfies LMI (20) at every corner of a box, despite rounding.
 
     Args:
         gain: closed loops as a function of the factors.
@@ -197,9 +202,9 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
 
 
 def _fill(parts: Sequence[Box], box: Box) -> bool:
-    """Returns True if boxes from repeated bisection fill a box.
+    """Returns True if parts, made by repeated bisection, fill a box.
 
-    This is the case if one of them contains the box, or if they fill both halves of the box along some factor.
+    This is the case if one of the parts contains the box, or if the parts fill both halves of the box along some factor.
     """
     if any(np.all(part.low <= box.low) and np.all(part.high >= box.high) for part in parts):
         return True

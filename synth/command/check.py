@@ -1,4 +1,4 @@
-"""`python -m synth --check` and `--prove`: check the claims of given gains and laws, or prove bounds for them."""
+"""`python -m synth --check` and `--prove`: check the claims of gains and laws in a vehicle file, or prove bounds for them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,14 +19,14 @@ from synth.vehicle.designer import Designer
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
-    """Checks the gains and laws of the vehicle file, or the requested ones. Returns one row for each.
+    """Checks all gains and laws of the vehicle file, or only the requested controllers, and returns one row for each.
 
     Args:
         designer: designer of the vehicle.
-        names: names of the requested controllers; None for all that have a gain or a law.
+        names: names of the requested controllers; None for all controllers that have a gain or a law.
 
     Raises:
-        InputError: a name is unknown or has no gain or law, the file contains none, or a certificate is malformed.
+        InputError: a name is unknown, a named controller or the whole file has no gain or law, or a certificate is malformed.
     """
     vehicle = designer.vehicle
     gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]

@@ -1,7 +1,7 @@
 """Cross-check of the designs from problems (22) and (25) with a second solver, Clarabel.
 
-The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum. Two solvers therefore
-agree in gamma, but not in the gain. A second problem, in which the designed gain is fixed, checks the gain.
+The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum, so two solvers agree
+in gamma, but not in the gain. The gain is therefore checked by a second problem, in which the designed gain is fixed.
 """
 
 from dataclasses import asdict, dataclass
@@ -19,21 +19,22 @@ from synth.plant.numerics import DesignError
 from synth.plant.units import own_units, reachable, size
 from synth.vehicle.designer import Designer
 
-# Relative in gamma. Clarabel stops at a tolerance of 1e-8 in eta, relative to entries of X that may be a thousand times larger.
+# Allowed relative difference in gamma. Clarabel stops at an error of eta of 1e-8 relative to entries of X, which may be a
+# thousand times larger.
 TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """Comparison of a design with the solution of Clarabel.
+    """Comparison of a design with the solution that Clarabel finds.
 
     Attributes:
         problem: number of the problem, "(22)" or "(25)".
         ours: optimal gamma from the central path.
-        optimum_gap: relative distance of the designed gain's gamma from this optimum.
+        optimum_gap: relative distance between the gamma of the designed gain and this optimum.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
         attained: gamma from Clarabel with the designed gain fixed; None if Clarabel failed.
-        said: text with the solver's status if it did not solve both problems; else empty.
+        said: status text of Clarabel if it did not solve both problems; else empty.
     """
 
     problem: str
@@ -45,12 +46,12 @@ class CrossCheck:
 
     @property
     def apart(self) -> float | None:
-        """Relative excess of Clarabel's optimum over ours."""
+        """Relative amount by which Clarabel's optimum exceeds the optimum from the central path."""
         return self.theirs / self.ours - 1 if self.theirs is not None else None
 
     @property
     def above(self) -> float | None:
-        """Relative excess of gamma with the designed gain over Clarabel's optimum."""
+        """Relative amount by which gamma with the designed gain exceeds Clarabel's optimum."""
         return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
 
     @property
@@ -82,11 +83,11 @@ SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")
 
 
 def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> CrossCheck | None:
-    """Solves the problem of a designed controller with Clarabel. Returns None if the design did not solve (22) or (25).
+    """Solves the design problem of a controller with Clarabel. Returns None if the design did not solve (22) or (25).
 
     Args:
         designer: designer of the vehicle.
-        controller: controller as designed, before refinement.
+        controller: designed controller before refinement.
         zero_l: True if the design used L = 0.
     """
     bound, steps = controller.certificate.bound, controller.steps
@@ -96,7 +97,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         steps is None
         or controller.fallback_method
         or controller.law.states
-        # With filters, the rates in (25) differ too much for Clarabel, whose answers are then inaccurate
+        # With filters, the rates in (25) differ so much that the results of Clarabel are inaccurate
         or shared.plant.weights
         or controller.specifications
         or bound is None
@@ -116,7 +117,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - steps.state_step_gap))
         X = start.X / np.outer(units.states, units.states)
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
-    # Uses the coordinates of (12), and units in which all numbers are near 1. Otherwise, Clarabel fails for a full car.
+    # The problem is written in the coordinates of (12) and in units that make all numbers similar to 1. Otherwise, Clarabel
+    # fails for a full car.
     a, T = Q.shape[1], np.hstack([Q, R])
     plant = units.into(problem.plant).in_coordinates(T)
     scaling = reachable(plant, a)

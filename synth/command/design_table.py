@@ -30,12 +30,14 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
 
-FREE = "limits for every controller"  # stage after the designs: the limit for all controllers, and gains that are not unique
+# last stage of the progress display: the limit for all controllers, and gains that are not unique
+FREE = "limits for every controller"
 MORE = "-v explains the columns and prints poles, notes and laws."
-# Options that replace gains and rides in the output
+# Options whose results are printed instead of gains and rides
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
-FLAT = 1e-4  # relative increase of gamma for which the possible changes of the gains are printed
-WORSE = 1.005  # ratio to the passive suspension above which a ride counts as worse; a smaller one is hidden by rounding
+FLAT = 1e-4  # relative increase of gamma; the gain changes that cause at most this increase are printed
+# a ride is called worse if it exceeds the passive ride by more than this factor; rounding hides a smaller difference
+WORSE = 1.005
 RIDE = Field[Row]("expected ride", lambda row: row.ride, ".3g", key="expected_ride", unit="m/s2")
 CHANGE = Field[float]("change", lambda ratio: ratio - 1, "+.0f", 100, unit="%")
 
@@ -46,12 +48,13 @@ class Designs:
 
     Attributes:
         vehicle: vehicle of the controllers.
-        rows: controllers, one row each.
-        limit: lower bound that no control force changes.
+        rows: rows of the table, one for each controller.
+        limit: lower bound on the norm that no control force can change.
         plant: generalized plant of this bound.
-        flat: possible changes of the state-feedback gains; see `_flatness`.
-        passive: expected ride of the passive suspension [m/s2]; None if it has none.
-        expected_rides: expected ride [m/s2] by point and by controller, for a vehicle with persons; points with a person first.
+        flat: how far each state-feedback gain may change; see `_flatness`.
+        passive: expected ride of the passive suspension [m/s2]; None if it is not defined.
+        expected_rides: for a vehicle with persons, expected ride [m/s2] by point and by controller; points where a person sits
+            come first.
         without: norm without control; infinite if the vehicle is not damped.
     """
 
@@ -66,7 +69,7 @@ class Designs:
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
-    """Runs the command: designs, checks, saves and prints controllers. Returns the exit code.
+    """Runs the command, which designs, checks, saves and prints controllers, and returns the exit code.
 
     Args:
         vehicle: vehicle whose file defines the controllers.
@@ -148,7 +151,7 @@ def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
-    """Returns the row of a designed controller, or of a failed design."""
+    """Returns the row of a designed controller, or the row of a failed design."""
     if options.refine and name != "passive":
         return _refined_row(designer, name, options.zero_l)
     try:
@@ -176,7 +179,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
-    """Returns the row of a refined controller with its trade-off; if refinement fails, the row of the unrefined controller."""
+    """Returns the row of the refined controller with its trade-off, or of the unrefined controller if refinement fails."""
     try:
         refined = designer.refine(name, zero_l)
     except DesignError as error:
@@ -192,7 +195,7 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
 
 
 def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
-    """Adds the expected ride, the margins of the law and, if requested, the tolerated gain errors to a row."""
+    """Adds the expected ride and the margins of the law to a row and, if requested, the tolerated gain errors."""
     controller = row.controller
     if controller is None:
         return row
@@ -204,13 +207,15 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
-    """Returns the possible changes of the state-feedback gains for an increase of gamma by FLAT.
+    """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
 
-    The gain is that of the state feedback in the table, if the table has one; otherwise it is designed. This gain need not be
-    the end of its central path. The result is empty for a vehicle with integrals, whose state feedback is more than a gain.
+    If the table contains a state feedback, its gain is used; otherwise a gain is designed. The path of the design need not have
+    ended at this gain. The result is empty for a vehicle with integrals of measurements, because its state feedback is not just
+    a gain.
 
     Returns:
-        For each state: the largest gain on it, and how far this gain may fall and rise; None for an unlimited change.
+        For each state, the largest gain that acts on this state, and how far this gain may fall and rise; None if the change is
+        unlimited.
     """
     if designer.vehicle.integrals:
         return {}
@@ -229,7 +234,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
 
 
 def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> None:
-    """Checks that the gains that this command designs can be saved. Only designed gains are saved."""
+    """Checks that the designed gains can be saved. Other gains are not saved."""
     from synth.command.save import check_save
 
     entries = vehicle.controllers
@@ -249,7 +254,7 @@ def _draw_responses(designs: Designs, path: Path) -> Path | None:
 
 
 def _expected_ride(designs: Designs) -> dict[str, Any]:
-    """Returns the conditions of the expected ride, and the expected ride of the passive vehicle, for JSON."""
+    """Returns the expected ride of the passive vehicle, and the road and speed for which it holds, for JSON."""
     ride: dict[str, Any] = {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
     ride |= {"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {}
     return ride | ({"points": designs.expected_rides} if designs.expected_rides else {})
@@ -265,7 +270,7 @@ RECORD = Record[Designs](
 
 
 def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> list[str]:
-    """Returns the lines of the answer: short, or in full with `-v`."""
+    """Returns the lines that are printed: a short answer, or the full answer with `-v`."""
     vehicle, full = designs.vehicle, options.verbose
     files = written_lines(outputs)
     if outputs["saved"]:
@@ -280,7 +285,7 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
 
 
 def document(designs: Designs, options: Namespace) -> Document:
-    """Returns the answer as a document."""
+    """Returns the results of the command as a document."""
     vehicle, rows = designs.vehicle, designs.rows
     asked = bool(options.given & ANSWER_OPTIONS)
     margins = {row.name: row.margins for row in rows if row.margins is not None}
@@ -309,7 +314,7 @@ def document(designs: Designs, options: Namespace) -> Document:
 
 
 def _worse(designs: Designs) -> tuple[Statement, ...]:
-    """Returns a warning about designs for a small norm whose norm is larger than that without control."""
+    """Returns a warning about designs that minimise the norm but have a larger norm than the vehicle without control."""
     entries, norms = designs.vehicle.controllers, dict[str, float]()
     for row in designs.rows:
         entry, certificate = entries.get(row.name), row.certificate
@@ -330,7 +335,7 @@ def _rides(designs: Designs) -> list[Statement]:
 
 
 def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> tuple[Statement, ...]:
-    """Describes the expected ride of every controller at a point, and lists controllers with a worse ride than passive."""
+    """Describes the expected ride of every controller at a point, and lists the controllers whose ride is worse than passive."""
     rides, passive = {name: ride for name, ride in known.items() if ride is not None}, known["passive"]
     if not rides.keys() & {row.name for row in designs.rows}:
         return ()
@@ -348,7 +353,7 @@ def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> t
 
 
 def _without_ride(designs: Designs) -> dict[str, str]:
-    """Returns the names of the stable controllers without an expected ride, each with the reason."""
+    """Returns the stable controllers for which no expected ride is defined, by name, each with the reason."""
     some = {row.name: row.controller for row in designs.rows if row.controller is not None and row.ride is None}
     return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 

@@ -27,14 +27,15 @@ from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
 from synth.vehicle.lmi_certificates import certificate_texts
 
-RANGES = (1e-9, 1e9)  # limits of the largest magnitude of a measurement, in its SI unit
+RANGES = (1e-9, 1e9)  # limits for a range, the largest magnitude of a measurement in its SI unit
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
-    """Writes the folder or the file of --export, and prints its contents. Returns the exit code.
+    """Writes the folder or the file that `--export` names, prints its contents, and returns the exit code.
 
     Raises:
-        InputError: a controller is unknown or cannot be exported in this form, or the folder or file cannot be written.
+        InputError: a controller is unknown, a controller cannot be exported in this form, or the folder or file cannot be
+            written.
     """
     record, lines = {".mat": _mat, ".fmu": _fmu}.get(options.export.suffix.lower(), _folder)(vehicle, options)
     names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
@@ -56,7 +57,7 @@ def _one(vehicle: Vehicle, options: Namespace, names: Sequence[str], what: str) 
 
 
 def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> tuple[Vehicle, ExportedLaw, dict[str, str]]:
-    """Returns the vehicle of the saved controller, its exported law, and the texts of its folder."""
+    """Returns the vehicle whose file contains the controller, the exported law, and the texts of the exported folder."""
     name, saved, own = _one(vehicle, options, vehicle.controller_names, "--export writes one controller")
     driver = driver_of(saved, own)
     law = exported_law(saved, driver, options.numbers, prefix(c_name(name)), _ranges(options.ranges))
@@ -65,7 +66,7 @@ def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> 
 
 
 def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes the folder of one controller. Returns its contents for JSON, and as lines of text."""
+    """Writes the folder of one controller. Returns the contents of the folder for JSON, and as lines of text."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove it")
@@ -171,11 +172,11 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     ]
 
 
-FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources (texts by file name), and documentation
+FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, additional files (texts by file name), and documentation
 
 
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
-    """Returns a controller as the content of an FMU. The files of the exported folder are its resources."""
+    """Returns a controller as the content of an FMU. The FMU includes the files of the exported folder."""
     if options.numbers not in ("double", "float"):
         raise InputError(f"an FMU cannot have {options.numbers} numbers: its variables are floating point; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
@@ -237,10 +238,10 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
 
 
 def _ranges(given: Sequence[str]) -> dict[str, float]:
-    """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
+    """Returns the ranges that are given as `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: a range does not have this form, is out of range, or is given twice.
+        InputError: a range does not have this form, its number is too small or too large, or the range is given twice.
     """
     ranges = {}
     for text in given:
@@ -258,7 +259,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
 
 
 def check_folder(folder: Path, options: Namespace) -> int:
-    """Checks an exported folder and prints which files were changed, and whether the claims of its certificate hold.
+    """Checks an exported folder. Prints which files were changed, and whether the claims of its certificate hold.
 
     Returns:
         Exit code: 0 if no file was changed, every claim holds, and the code computes the outputs of the test vectors; else 1.
@@ -293,7 +294,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 
 
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
-    """Runs the compiled code on the test vectors. Returns the result as text, and False if the result is wrong.
+    """Runs the compiled code on the test vectors. Returns the result as text, and False if an output is wrong.
 
     Without a compiler, the code is not run, which does not count as wrong.
     """

@@ -1,4 +1,4 @@
-"""`python -m synth --fragility`: errors of measurements and forces that a controller tolerates, and the effect of rounding."""
+"""`python -m synth --fragility`: gain errors that a controller tolerates, and the effect of rounded coefficients."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from synth.design.uncertainty.problem import scaled_gain
 
 @dataclass(frozen=True, eq=False)
 class FragilityReport:
-    """Fragility of a controller.
+    """Fragility of a controller: the gain errors that it tolerates, and the effect of rounding its coefficients.
 
     Attributes:
         fragility: gain errors that the controller tolerates.
         rounded_certificates: certificates of the controller with rounded coefficients, by number format.
-        lines: lines of text about both.
-        record: both as JSON.
+        lines: lines of text about tolerated gain errors and rounded coefficients.
+        record: tolerated gain errors and rounded coefficients as JSON.
     """
 
     fragility: errors.Fragility
@@ -45,7 +45,7 @@ def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityRepor
 
 
 def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
-    """Returns the fragility of one controller as sentences, or that of several controllers as a table."""
+    """Returns the fragility of one controller as sentences, or the fragility of several controllers as a table."""
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
     first = min(reports.values(), key=lambda one: len(one.rounded_certificates))
@@ -72,5 +72,5 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
 
 
 def _between(margin: errors.ErrorMargin) -> str:
-    """Formats the proved tolerance and the smallest harmful error [%]; a dash replaces a missing value."""
+    """Formats the proved tolerance and the smallest harmful error, both in percent; a dash replaces a missing value."""
     return ", ".join(cell(100 * value if value else None, ".3g") for value in (margin.proved_margin, margin.smallest_violation))

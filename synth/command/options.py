@@ -7,14 +7,14 @@ from pathlib import Path
 from models.common.command import Parser
 from models.common.errors import InputError
 
-MOST_POINTS = 1000  # largest number of a design for `--point`
+MOST_POINTS = 1000  # largest number that a point of the trade-off can have in `--point`
 AXES_HELP = (
     "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride between "
     "these frequencies [Hz]) and tolerance=10 (the norm of [performance] with measurement errors of 10 %%). Separate axes by "
     "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 15 s, with tolerance 20 s"
 )
 
-ALONE = {  # by option: its effect, and the options that it can be combined with
+ALONE = {  # by option: its effect, and the options with which it can be combined
     "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture", "certificates")),
     "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
     "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),
@@ -49,7 +49,7 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     """Parses and checks the options.
 
     Raises:
-        InputError: an option is invalid, or options exclude each other.
+        InputError: an option is invalid, or two options exclude each other.
     """
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):

@@ -1,4 +1,4 @@
-"""`--picture`: figure of the gain from the road to z over frequency, with the frequency bands of goals."""
+"""`--picture`: figure of the gain from the road to z as a function of frequency, with the frequency bands of goals."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from synth.analysis.norm import largest_singular_values
 from synth.command.table import Row
 from synth.controller.report import NORM
 
-SHOWN_BAND = (0.3, 30.0)  # frequency range of the figure [Hz]; bands of goals outside this range widen it
+SHOWN_BAND = (0.3, 30.0)  # frequency range of the figure [Hz]; the range is wider if goals have bands outside this range
 POINTS = 1500  # number of frequencies
 ROOM = 1.5  # factor by which the figure extends beyond the bands of goals
 
@@ -30,7 +30,8 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         gains = largest_singular_values(row.controller.loop(vehicle).frequency_response(2 * np.pi * hertz))
         look = style[row.name]
         curves.append(Curve(hertz, gains, row.name, look.color, look.dash))
-        proved = {one.what: one.proved for one in row.controller.specifications}  # levels for one vehicle without errors
+        # levels that hold for one vehicle without errors
+        proved = {one.what: one.proved for one in row.controller.specifications}
         for norm in _norms(vehicle, row):
             if np.isfinite(level := proved.get(norm.text) or np.inf):
                 across, name = np.clip(np.array(norm.band), low, high), f"{row.name}: level proved in the band"
@@ -56,7 +57,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
 
 
 def _norms(vehicle: Vehicle, row: Row) -> list[NormOf]:
-    """Returns the norms in frequency bands, with z of `[performance]`, that the goals of a controller contain."""
+    """Returns the goals of a controller that limit the norm of z of `[performance]` in a frequency band."""
     goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
     norms = [goals.minimise, *(bound for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
     return [norm for norm in norms if norm.narrow and norm.signals is None]

@@ -28,7 +28,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
         InputError: a period is out of range or given twice, or there are too many periods.
     """
     for rate in rates:
-        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # the condition is also True for NaN
+        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # the condition also detects NaN
             raise InputError(
                 f"--rates {rate:g} ms is not allowed; give sample periods from {1e3 * SHORTEST:g} to {1e3 * LONGEST_PERIOD:g} ms"
             )

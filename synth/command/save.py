@@ -1,4 +1,4 @@
-"""Saving of designs as controllers of a vehicle file, each with its law and certificate."""
+"""Saves designs as controllers of a vehicle file, each with its law and certificate."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from synth.vehicle.certified_vehicle import vehicle_record
 
 
 def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Checks before the design that controllers with these names can be added to a vehicle file.
+    """Checks, before the controllers are designed, that controllers with these names can be added to a vehicle file.
 
     Args:
         path: path of the vehicle file to be written.
@@ -25,7 +25,8 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
         names: names of the designed controllers, without the suffix.
 
     Raises:
-        InputError: there is nothing to write, a name is already used, or a vehicle file at `path` could not be read.
+        InputError: there is nothing to write, a name is already used, or the vehicle file would be unreadable if saved at
+            `path`.
     """
     if not names:
         raise InputError("--save has nothing to write: no controller is designed; choose one without a gain in the vehicle file")
@@ -41,14 +42,14 @@ def save(
     controllers: Sequence[Controller],
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> None:
-    """Writes the vehicle file with each designed law added as NAME_designed. All other commands can read this file.
+    """Writes a vehicle file that contains each designed law as controller NAME_designed. All other commands can read this file.
 
     Controllers with a preview are omitted if there are other controllers.
 
     Args:
         path: path of the vehicle file to be written.
         vehicle: vehicle of the controllers.
-        controllers: controllers, of which the designed ones are written.
+        controllers: controllers; only designed controllers are written.
         sampled_bounds: lower bounds of sampled-data loops, by name of the controller.
 
     Raises:
@@ -66,7 +67,7 @@ def saved_text(
     controllers: Sequence[Controller],
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> str:
-    """Returns the text that `save` writes. The arguments and errors are those of `save`."""
+    """Returns the text that `save` writes; for arguments and errors, see `save`."""
     given = [controller for controller in controllers if controller.designed and controller.measured]
     designed = [controller for controller in given if controller.preview is None] or given
     for controller in designed:
@@ -77,12 +78,12 @@ def saved_text(
         text = with_sections(
             text, controller_section(vehicle, controller, controller.name + SUFFIX, (sampled_bounds or {}).get(controller.name))
         )
-    parse_vehicle(text, folder=path.parent)  # raises an error if the text cannot be read again
+    parse_vehicle(text, folder=path.parent)  # raises an error if the written text cannot be read
     return text
 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
-    """Returns a line that lists the controllers with a preview, which the file omits; empty without such controllers."""
+    """Returns a line that lists the controllers with a preview, which are not saved; empty if there are none."""
     return [f"  omitted: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
 
 

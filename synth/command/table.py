@@ -1,4 +1,4 @@
-"""Rows of the design table of a vehicle file, and their output: a document for the terminal or a report, and JSON."""
+"""Rows of the design table of a vehicle file, and their output as a document (for the terminal or a report) or as JSON."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
     from synth.command.fragility import FragilityReport
 
-GAIN_WIDTH = WIDTH - 20  # largest number of characters of a gain in a short answer; -v prints longer gains
+GAIN_WIDTH = WIDTH - 20  # largest number of characters of a gain in the short answer; longer gains are printed only with -v
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +67,17 @@ class Row:
         name: name of the controller.
         controller: controller of the row; None if its design failed.
         notes: notes about the controller.
-        failures: texts of the claims that do not hold, or the reason of a failed design.
-        worth: relative decrease of the norm that `--refine` reaches at least; 0 if it is negligible.
-        witness: result of the cross-check with a second solver, if requested.
-        sampled: norm of the sampled-data loop, if the vehicle file describes an implementation.
-        sampled_below: lower bound on this norm for any controller with these measurements, if the controller is designed for
-            the sampled-data loop.
-        fragile: tolerated gain errors, if requested.
-        answers: texts that options requested; the notes also contain these texts.
+        failures: texts of the claims that do not hold, or the reason why the design failed.
+        worth: smallest relative decrease of the norm that `--refine` would achieve; 0 if the decrease is negligible.
+        witness: result of the cross-check with a second solver; None if not requested.
+        sampled: norm of the sampled-data loop; None if the vehicle file describes no implementation.
+        sampled_below: lower bound on the norm of the sampled-data loop for any controller with these measurements; None unless
+            the controller is designed for this loop.
+        fragile: gain errors that the controller tolerates; None if not requested.
+        answers: results that options requested, as texts that are also contained in `notes`.
         ride: expected weighted acceleration on an average road [m/s2]; None if it is not defined.
-        refined: True if the controller was refined, so that its gain is part of the answer.
-        margins: stability of the law itself, and small margins of its loop; None if there is no law.
+        refined: True if the controller was refined; its gain is then part of the answer.
+        margins: stability of the law itself, and stability margins of its loop if they are small; None if there is no law.
     """
 
     name: str
@@ -106,14 +106,14 @@ class Row:
 
     @property
     def sampled_gap(self) -> float | None:
-        """Relative distance of the sampled-data norm from its lower bound; None if one of them is missing."""
+        """Relative distance of the sampled-data norm from its lower bound; None if the norm or the bound is missing."""
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
 
 
 def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
-    """Returns the value of a field that only a stable loop has; for an unstable loop, the verdict as text."""
+    """Returns the value of a field that exists only for a stable loop; for an unstable loop, the verdict as text."""
     if row.certificate is None:
         return "NOT DESIGNED"
     value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
@@ -135,12 +135,12 @@ ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
 
 
 def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Plant, apart: bool = False) -> Document:
-    """Returns the designs as a document: the table, the limit for every design, and notes about the loops.
+    """Returns a document with the table of designs, the limit for every design, and notes about the loops.
 
     Args:
         vehicle: vehicle of the controllers.
-        rows: controllers, one row each.
-        limit: lower bound that no control force changes.
+        rows: rows of the table, one for each controller.
+        limit: lower bound on the norm that no control force can change.
         plant: generalized plant of this bound.
         apart: True to show sampled-data norms only in their own table.
     """
@@ -153,7 +153,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
     held = Field[Row]("certificate", certificate, detail="full")
     others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
-    if bounded:  # a terminal has no room for these columns in addition to the lower bound of the sampled-data loop
+    if bounded:  # a terminal is too narrow for both these columns and the lower bound of the sampled-data loop
         others = [replace(field, detail="full") for field in others]
     sampled = [*[BUILT_NORM] * (built and not apart), *[LEVEL, ABOVE_LEVEL] * bounded]
     fields = [CONTROLLER, MEASURES, BOUND.of(CERTIFICATE), NORM_OR_VERDICT, *sampled, *others, POLE_OR_VERDICT, held]
@@ -179,7 +179,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
 
 def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Returns a note about forces without a weight, whose size nothing limits, if a controller is designed."""
+    """If a controller is designed, returns a note about forces without a weight, whose size the design does not limit."""
     given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
     free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
     text = f"No weight limits {list_names(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
@@ -187,10 +187,10 @@ def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> li
 
 
 def limit_text(limit: LowerBound, plant: Plant) -> str:
-    """Describes the lower bound that no control force changes.
+    """Describes the lower bound on the norm that no control force can change.
 
-    If a mode must be stabilised, the bound holds for stabilising controllers. At an invariant point, z reaches the bound even
-    without control.
+    If a mode must be stabilised, the bound holds only for controllers that stabilise this mode. At an invariant point, the norm
+    without control may equal the bound.
     """
     if limit.limit_at is None:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
@@ -211,7 +211,7 @@ EXPLANATION = (
 
 
 def _difference(row: Row) -> str:
-    """Formats the difference between both norms; "-" if they refer to different signals or are infinite."""
+    """Formats the difference between the norms of the ideal and the sampled-data loop; "-" if the norms cannot be compared."""
     one, norm = row.controller, row.sampled
     if one is None or one.hardware != NOMINAL or not one.certificate.stable or norm is None or not norm.stable:
         return "-"
@@ -229,12 +229,12 @@ NORMS: tuple[Field[Row], ...] = (
 
 
 def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Statement]:
-    """Describes each controller: its gain or first specification, requested answers, and failures.
+    """Describes each controller: its gain or first specification, the results of options, and failures.
 
     Args:
-        rows: controllers, one row each.
+        rows: rows of the table, one for each controller.
         gains: False to omit gains and specifications, except the gains of refined controllers.
-        checked: True to add a text about the result of `--check`.
+        checked: True to describe the result of `--check`, too.
     """
     own = without_copies(row.name for row in rows)
     shown = [
@@ -284,7 +284,10 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 
 def failures_of(row: Row) -> list[str]:
-    """Describes the failures. The first description has a note about the signs of the gains, if the signs may be the cause."""
+    """Describes the failures.
+
+    If wrong signs of the gains may be the cause, the first description contains a note about this.
+    """
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 
@@ -295,7 +298,7 @@ def lacks_damping(controller: Controller) -> bool:
 
 
 def _poles(controller: Controller) -> list[complex]:
-    """Returns the poles of a loop by natural frequency, one of each conjugate pair.
+    """Returns the poles of a loop, sorted by natural frequency, with one pole of each conjugate pair.
 
     For poles on the axis, rounding errors in the real part are removed.
     """
@@ -330,7 +333,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
         *(f"FAILS: {failure}" for failure in failures_of(row)),
     ]
     law, *others = said
-    if law.startswith("gain: "):  # names its signals
+    if law.startswith("gain: "):  # the text of a gain contains the names of its signals
         return Document(f"controller {row.name}, {law}", notes(*others, detail="full"), "full")
     return Document(f"controller {row.name}: measures {row.measures}", notes(*said, detail="full"), "full")
 
@@ -344,14 +347,14 @@ def pole_words(pole: complex) -> str:
 
 
 def _hardware(controller: Controller) -> dict[str, Any]:
-    """Returns the noise, the loads and the lag that a norm includes, for JSON; empty if it includes none."""
+    """Returns the sensor noise, loads and actuator lag that a norm takes into account, for JSON; empty if there are none."""
     hardware = controller.hardware
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
     noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 
-EIGENVALUE = Record("smallest", "rounding")  # smallest eigenvalue, and the value that it must exceed
+EIGENVALUE = Record("smallest", "rounding")  # computed smallest eigenvalue, and the value that it must exceed for a proof
 LMI = Record[LmiProof](proved="holds", X=EIGENVALUE.all("positive"), minus_20=EIGENVALUE.all("negative"))
 CLAIMS = Record[Certificate](
     Record(routes_gap=lambda one: one.norm.gap if one.stable else None), PEAK, Record("poles"), LOWER_BOUND, GAP
@@ -380,5 +383,5 @@ DESIGN_RECORD = Record[Any](  # JSON object of a row whose design succeeded
 
 
 def record(row: Row) -> dict[str, Any]:
-    """Returns a row as a JSON object in SI units: a design, or the reason why the design failed."""
+    """Returns a row as a JSON object in SI units: either the design, or the reason why the design failed."""
     return DESIGN_RECORD(row) if row.controller is not None else {"name": row.name, "reason": "; ".join(row.failures)}

@@ -1,4 +1,4 @@
-"""`python -m synth --front`: a trade-off as a table, figure, CSV, controllers in a vehicle file, and JSON."""
+"""`python -m synth --front`: trade-off between two goals, as a table, a figure, CSV, JSON or controllers in a vehicle file."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, MARKED_POINTS, Front, entry_of, front
 from synth.vehicle.trade_off.report import RECORD, describe, front_figure, write_csv
 
-USUAL = "I"  # default controller, whose measurements the designs use
-SHOWN_POINTS = 3  # number of points in a short table
+USUAL = "I"  # default controller; the designs use the measurements of this controller
+SHOWN_POINTS = 3  # number of points that the short table shows
 SAVED_NAME = "point"  # part of the name of a saved design, such as I_point_17
 
 
@@ -28,7 +28,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     """Runs the command. Returns the exit code.
 
     Raises:
-        InputError: an axis is invalid, no front can be based on the controller, a point does not exist, or a file cannot be
+        InputError: an axis is invalid, the controller does not permit a front, a point does not exist, or a file cannot be
             written.
     """
     axes = axes_of(vehicle, options.front)
@@ -78,9 +78,9 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
 
 
 def others_of(vehicle: Vehicle) -> list[str]:
-    """Returns the linear controllers that are shown with a front.
+    """Returns the names of the linear controllers that are shown together with a front.
 
-    Controllers that are designed for goals are omitted, because each takes seconds.
+    Controllers that are designed for goals are omitted, because the design of each one takes seconds.
     """
     return [
         name
@@ -99,12 +99,12 @@ def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
 
 
 def usual(vehicle: Vehicle) -> str:
-    """Returns the name of the default controller of a front: I, or the first controller of the file."""
+    """Returns the name of the default controller for a front: I if the file contains I, otherwise the first controller."""
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 
 def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
-    """Returns the numbers of the points that are saved."""
+    """Returns the numbers of the points of the front that are saved."""
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(

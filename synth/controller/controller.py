@@ -37,19 +37,20 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
     """Linear controller of a vehicle, with its certificate and notes about its design.
 
     Attributes:
-        name: name of its section in the vehicle file.
+        name: name of the controller's section in the vehicle file.
         measured: names of the q measured signals y; empty for `passive`.
         law: control law from y to the m forces; a static law is u = K y.
-        designed: True if the controller was designed by Roadproof; False if its law was given, or is zero (`passive`).
-        steps: the two-step `Design` that produced its gain; None for other controllers.
-        redundant: names of measured signals that depend linearly on the others; their gains are zero.
+        designed: True if the controller was designed by Roadproof; False if its law was given or is zero (as for `passive`).
+        steps: result of the two-step method that produced the gain; None for other controllers.
+        redundant: names of measured signals that are linear combinations of other measured signals; their gains are zero.
         certificate: certificate of the closed loop.
-        degeneracy: text about the degeneracy of (22), which has no optimum or for which every gain is optimal; else empty.
-        fallback_method: text about the fallback method, and why the two steps found no gain; else empty.
-        remarks: further notes. For a design without the two steps, they give the distance from the optimum, or the objective.
-        false_claims: texts of the claims of a given certificate that do not hold.
-        hardware: sensor noise, actuator lag and loads that the certificate includes.
-        sampled: True if the controller was designed for the sampled-data loop. The certificate is still that of the ideal loop.
+        degeneracy: text that explains why problem (22) has no optimum, or why every gain is optimal; else empty.
+        fallback_method: text about the fallback method that was used, and why the two-step method found no gain; else empty.
+        remarks: additional notes. For a design by another method than the two steps, they give the distance from the optimum,
+            or the objective.
+        false_claims: descriptions of those claims of a given certificate that do not hold.
+        hardware: sensor noise, actuator lag and loads that the certificate takes into account.
+        sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
         specifications: specifications of the design or of its evaluation, in addition to the H-infinity norm.
         preview: force from the road ahead, which is added to the force of the law; None without preview.
         code: `ExportedCode` that computes the forces in simulations; None if the law itself computes them.
@@ -77,7 +78,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @classmethod
     def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
-        """Returns the designed controller for a section of a vehicle file; `more` contains further attributes."""
+        """Returns the designed controller for a section of a vehicle file; `more` contains additional attributes."""
         return cls(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, **more)
 
     @property
@@ -106,7 +107,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def acts(self) -> bool:
-        """False if no measurement ever causes a force; see `ControlLaw`."""
+        """False if the law never produces a force, whatever it measures; see `ControlLaw`."""
         return self.law.acts
 
     @property
@@ -124,7 +125,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         return 0 if self.preview is None else self.preview.samples(period)
 
     def state_scale(self, period: float) -> float:
-        """Returns the factor from the states in a simulation to those of the law; see `ControlLaw`."""
+        """Returns the factor that converts the states in a simulation to the states of the law; see `ControlLaw`."""
         return self.law.of_state(period)
 
     @property
@@ -147,12 +148,15 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def feedback(self) -> "Controller":
-        """Controller without the force from the road ahead; its poles and stability margins are the same."""
+        """The same controller without the force from the road ahead; its poles and stability margins do not change."""
         return self if self.preview is None else replace(self, preview=None)
 
     @property
     def without_noise(self) -> "Controller":
-        """Controller without sensor noise in `hardware`. The norms of its implementation then concern the road alone."""
+        """The same controller without sensor noise in `hardware`.
+
+        The norms of its implementation then describe only the effect of the road.
+        """
         return replace(self, hardware=replace(self.hardware, noise=()))
 
     @property
@@ -162,7 +166,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def robustness(self) -> "tuple[Specification, ...]":
-        """Specifications for the frequency-weighted uncertainties in the controller's section."""
+        """Specifications for the frequency-weighted uncertainties in the controller's section of the vehicle file."""
         return tuple(promise for promise in self.specifications if promise.what in ROBUST)
 
     @property
@@ -192,7 +196,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         return problem(vehicle, self.measured, self.hardware)
 
     def law_on_states(self, vehicle: Vehicle) -> LinearLaw:
-        """Returns the law in continuous time on C_y x. Forces that are part of the measurements are eliminated.
+        """Returns the law in continuous time, as a law on C_y x; forces that are part of the measurements are eliminated.
 
         Raises:
             InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
@@ -204,7 +208,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         return self.problem(vehicle).judged(self.law).loop
 
     def state_gain(self, vehicle: Vehicle) -> Array:
-        """Returns the state gain G = K C_y (6) of a static controller, shape (m, n).
+        """Returns the state gain G = K C_y of a static controller, equation (6) of the paper, shape (m, n).
 
         Args:
             vehicle: vehicle with the measured signals of the controller.
@@ -225,7 +229,7 @@ else:
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
-    """Returns True if a simulation is linear until a limit is reached: a linear law that acts on no adjustable dampers."""
+    """Returns True if a run is linear until a limit is reached: for a linear law that acts on no adjustable dampers."""
     return controller.linear is True and not (vehicle.dampers and controller.acts)
 
 
@@ -249,11 +253,11 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
 
 
 def check_feedback_alone(controller: Controller, what: str) -> None:
-    """Checks that a controller has no preview, where only its feedback could be represented.
+    """Checks that a controller has no preview, because only its feedback can be represented.
 
     Args:
         controller: controller to check.
-        what: text for the message: where the controller is used.
+        what: text for the message that tells where the controller is used.
 
     Raises:
         InputError: the controller has a preview.
@@ -292,7 +296,7 @@ def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate
 def certify_law(problem: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
     """Certifies a law with a given lower bound.
 
-    Arguments and return values are those of `verify_record`.
+    For the other arguments and the return values, see `verify_record`.
 
     Raises:
         InputError: the algebraic loop has no solution.
@@ -314,14 +318,14 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 
 
 def on_readings(law: LinearLaw, problem: Problem) -> LinearLaw:
-    """Converts a law designed on C_y x to a law on the measurements of the sensors; accelerations contain the control force.
+    """Converts a law designed for C_y x to a law for the sensor signals, in which accelerations contain the control force.
 
-    If the force is measured, it is subtracted from the measurements. Otherwise the law is changed so that the closed loop stays
-    the same. Integrals of measurements become states of the law.
+    If the force is measured, it is subtracted from the measurements. Otherwise, the law is changed so that the closed loop
+    remains the same. Integrals of measurements become states of the law.
 
     Args:
         law: law from the measured signals that depend on the state.
-        problem: control problem for which the law was designed, with all q signals.
+        problem: control problem for which the law was designed, with all q measured signals.
 
     Raises:
         InputError: the algebraic loop through the measurements has no solution.

@@ -1,7 +1,8 @@
 """Symmetric disk margin of a loop that is cut at its actuators, as by `Loop.cut`.
 
-The margin is 1 / ||S - I / 2|| with S = (I - L)^-1. The loop is stable if each force has its own complex factor f, as long as
-|f - 1| / |f + 1| is below half the margin (Seiler, Packard, Gahinet 2020).
+The margin is 1 / ||S - I / 2|| with S = (I - L)^-1, where L is the loop transfer function. Each force may have its own complex
+factor f. The loop is stable as long as |f - 1| / |f + 1| is below half the margin for every factor (Seiler, Packard, Gahinet
+2020).
 """
 
 import math
@@ -16,11 +17,11 @@ from synth.plant.state_space import StateSpace
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Symmetric disk margin: tolerance of the loop to complex factors on all forces simultaneously, each with its own factor.
+    """Symmetric disk margin: how far all forces may change at the same time, each by its own complex factor.
 
     Attributes:
-        size: margin from 0 to 2. The margin is exact for one force. For several forces, it is a lower bound, exact if their
-            factors may depend on each other.
+        size: margin from 0 to 2. The margin is exact for one force. For several forces with independent factors, it is a lower
+            bound.
         frequency: frequency at which the loop is closest to instability [rad/s].
     """
 
@@ -39,7 +40,7 @@ class DiskMargin:
 
 
 def disk_margin(cut: StateSpace) -> DiskMargin:
-    """Returns the symmetric disk margin of a cut loop whose closed loop is stable."""
+    """Returns the symmetric disk margin of a cut loop. The closed loop must be stable."""
     inverse, half = np.linalg.inv(np.eye(len(cut.D)) - cut.D), np.eye(len(cut.D)) / 2
     n, k = cut.B.shape
     # System with x' = A x + B u, u = v + d, and z = u - d / 2.

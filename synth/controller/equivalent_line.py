@@ -1,7 +1,7 @@
-"""Statistical linearisation: straight lines that fit the nonlinear characteristics of a vehicle best over a random road.
+"""Statistical linearisation: straight lines that best fit the nonlinear characteristics of a vehicle over a random road.
 
-Over a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line with the least mean-square
-error for a characteristic F has the mean force and the mean slope of F:
+Over a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line that fits a characteristic F
+with the least mean-square error has the mean force and the mean slope of F:
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
     E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s.
@@ -10,11 +10,12 @@ The slope changes by d_i at the knot k_i. phi is the normal density, and Q its u
 for piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos,
 Random Vibration and Statistical Linearization, 1990, chapter 5).
 
-The linear vehicle with these slopes has a different mean m and standard deviation s. The computation is therefore iterated
-until slopes, m and s are consistent. An asymmetric damper has a mean force, which the springs carry, so the body height changes
-(the damper jacks the body down).
+The linear vehicle with these slopes has a different mean m and standard deviation s. The computation is therefore repeated
+until slopes, m and s are consistent. An asymmetric damper produces a mean force, which the springs must balance, so the mean
+body height changes (the damper jacks the body down).
 
-If two wheels share a parameter, the mean of their slopes is used, because road and car are the same on both sides.
+If two wheels share a parameter, the mean of their slopes is used, because road and car are statistically the same on both
+sides.
 """
 
 import math
@@ -30,20 +31,20 @@ from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of
 
-CONSISTENT = 1e-6  # relative change at which the iteration ends
-DIRECT = 10  # number of rounds with full steps
+CONSISTENT = 1e-6  # the iteration ends if the slopes change by less than this relative amount
+DIRECT = 10  # number of iterations that take full steps
 MOST_ROUNDS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class EquivalentLine:
-    """Linear vehicle that replaces a vehicle with e nonlinear characteristics.
+    """Linear vehicle that approximates a vehicle with e nonlinear characteristics.
 
     Attributes:
         vehicle: linear vehicle.
         curves: the e characteristics. A position-dependent damper is represented by its mean over all deflections.
         signals: names of the signals on which the characteristics depend.
-        deflections: names of the deflections along which their forces act.
+        deflections: names of the deflections along which the forces of the characteristics act.
         slopes: slopes of the lines at the wheel, shape (e,).
         mean: mean of every output signal, by name [unit of the signal].
         rounds: number of iterations.
@@ -61,13 +62,13 @@ class EquivalentLine:
 def equivalent_line(
     vehicle: Vehicle, controller: Controller, deviations: Callable[[Vehicle, Sequence[str]], Array | None]
 ) -> EquivalentLine | None:
-    """Returns the linear vehicle that replaces a nonlinear vehicle; None if no stable loop is consistent with its lines.
+    """Returns the linear vehicle that replaces a nonlinear vehicle; None if no stable loop fits its own lines.
 
     Args:
         vehicle: vehicle with nonlinear characteristics.
         controller: linear controller.
-        deviations: function of a linear vehicle and the names of k signals. This function returns the standard deviations of
-            these signals over the road, shape (k,), or None if the loop is unstable.
+        deviations: function that takes a linear vehicle and the names of k signals. It returns the standard deviations of these
+            signals over the road, shape (k,), or None if the loop is unstable.
     """
     if without_curve(vehicle):
         return None
@@ -101,7 +102,7 @@ def equivalent_line(
             np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + spread)
         ):
             return EquivalentLine(linear, tuple(curves), tuple(signals), deflections, of_line, outputs, rounds)
-        step = 1.0 if rounds < DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
+        step = 1.0 if rounds < DIRECT else 1 / 4  # full steps can overshoot if a controller nearly cancels a spring
         slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
     return None
 
@@ -117,7 +118,7 @@ def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, float]:
-    """Returns the mean force [N] and the mean slope of a characteristic for a Gaussian argument."""
+    """Returns the mean force [N] and the mean slope of a characteristic whose argument is Gaussian."""
     if deviation == 0:
         near = 1e-9 * float(np.abs(curve.x).max())
         below, at, above = (float(curve(np.array(mean + x))) for x in (-near, 0.0, near))

@@ -1,10 +1,10 @@
 """L2 gain of a vehicle's sampled-data loop, from the continuous road velocity to the continuous output z.
 
-This gain corresponds to the norm (18) of the continuous loop, but it includes `[implementation]` and the actuator lag of
-`[limits]`. The force is held and delayed, while road and vehicle move continuously. Nonlinear parts (limits of force and
+This gain corresponds to the norm (18) of the continuous loop, but it takes into account `[implementation]` and the actuator lag
+in `[limits]`. The force is held and delayed, while road and vehicle move continuously. Nonlinear parts (limits of force and
 stroke, quantisation) are not included. Measurement noise is included if the controller's section specifies it. With actuator
-lag, z contains the acting force. An integral in z is not included: a computer sums its measurements, and only this sum returns
-to zero.
+lag, z contains the acting force. An integral in z is not included, because a computer adds up samples instead of integrating,
+and only this sum returns to zero.
 """
 
 import math
@@ -28,11 +28,13 @@ from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
 from synth.plant.generalized import Plant
 
-FORGOTTEN = 1e-5  # decay per period of the integral from which the mean road velocity is computed; without it, no decay
+# decay per period of the integral from which the mean road velocity is computed; without this decay, the loop would not be
+# stable
+FORGOTTEN = 1e-5
 
 
 def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm:
-    """Returns the L2 gain of the sampled-data loop from all disturbances to z; infinite if the loop is not stable.
+    """Returns the L2 gain of the sampled-data loop from all disturbances to z. The gain is infinite if the loop is not stable.
 
     Args:
         vehicle: vehicle with the implementation of the controller.
@@ -47,9 +49,9 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
     """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
-    With tyre damping, a measurement may contain the road velocity. Such a measurement then contains the mean velocity over the
-    last period, because the energy of the road bounds no velocity at an instant. This agrees with MuJoCo, where a held road
-    moves in steps. The road height in a measurement is the integral of the road velocity. The arguments are those of
+    With tyre damping, a measurement may contain the road velocity. In this case, the mean velocity over the last period is
+    used, because the energy of the road does not limit its velocity at an instant. This agrees with MuJoCo, where the road
+    moves in steps. The road height in a measurement is the integral of the road velocity. For the arguments, see
     `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
@@ -59,8 +61,8 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     rows = [model.outputs.index(name) for name in controller.measured]
     if not model.Dw[rows].any() and not model.Cr[rows].any():
         return problem.loop(law)
-    # The plant integrates the velocity, with a decay of `FORGOTTEN` per period. The law stores the integral of the last sample.
-    # The difference of the two integrals gives the mean velocity.
+    # The plant integrates the velocity, with a decay of `FORGOTTEN` per period. The law stores the value of the integral at the
+    # last sample. The difference between the present and the stored value gives the mean velocity.
     (n, m), q, r, plant = problem.plant.B.shape, len(rows), model.Dw.shape[1], problem.plant
     C, D = (rate[:r] for rate in road_rates(vehicle.without_integrals, plant))
     wide = replace(
@@ -90,7 +92,7 @@ def _sampled_problem(vehicle: Vehicle, measured: Sequence[str], period: float, n
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
-    """Returns the sampled-data problem of a controller: the vehicle with its filters and actuator lag, and the measurements.
+    """Returns the sampled-data problem of a controller: the vehicle with filters, actuator lag and measurements.
 
     Raises:
         InputError: the vehicle has no sample period, or a measurement contains the road velocity.
@@ -110,9 +112,11 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
 
 
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
-    """Checks the claimed lower bound of the sampled-data loop. Returns a text if the claim is false; else an empty tuple.
+    """Checks the claimed lower bound of the sampled-data loop.
 
-    The dual solution is checked on the discrete plant of the claimed level, which is computed again.
+    Returns a text about the claim if it is false, else an empty tuple.
+
+    The discrete plant of the claimed level is computed again, and the dual solution is checked for this plant.
 
     Raises:
         InputError: the proof is malformed.
@@ -128,7 +132,10 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
-    """Returns the limit of the norm for fast sampling: the norm of the loop with actuator lag, for the road alone."""
+    """Returns the limit of the norm for fast sampling.
+
+    It is the norm of the continuous loop with actuator lag, from the road alone.
+    """
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value
     if vehicle.linear_model.over_datum(controller.measured):
@@ -142,5 +149,8 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 
 
 def plant_as_built(vehicle: Vehicle) -> Plant:
-    """Returns the plant (15) with its actuator lag, if it has one. The output z then contains the acting forces."""
+    """Returns the plant (15), with actuator lag if the vehicle file gives one.
+
+    The output z then contains the forces after the lag.
+    """
     return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

@@ -1,13 +1,14 @@
 """Integral action: converts a law whose states include integrals of its measurements to a law on these integrals, and back.
 
-If z weights an integral, the integral must return to zero; otherwise z has no norm. A law designed for such a z therefore feeds
-the integral back. Its first states are integrals of its measurements, x_c' = S y. These integrals are states of the plant, too.
-If a loop contained both, their difference would never decay. The loop therefore contains them only once: the law is treated as
-a law on [y; integrals].
+If z contains a weighted integral, the integral must return to zero; otherwise z has no finite norm. A law designed for such a z
+therefore feeds the integral back. The first states of the law are integrals of its measurements, x_c' = S y. The same integrals
+are also states of the plant. If a loop contained both copies, their difference would never decay. The loop therefore contains
+each integral only once: the law is treated as a law on [y; integrals].
 
-A law without these integrals may still have a norm, if the integrated signal is zero at 0 rad/s for every road. Let x' = A x +
-B w describe the loop, and let c x + d w be integrated. The integral is then c A^-1 x, because its derivative is c x + c A^-1 B
-w. The condition c A^-1 B = d means that the transfer function d - c A^-1 B is zero at 0 rad/s.
+A loop whose law lacks these integrals may still have a finite norm, if the integrated signal is zero at 0 rad/s for every road.
+Let the loop be x' = A x + B w, and let c x + d w be the integrated signal. If c A^-1 B = d, the integral is c A^-1 x, because
+the derivative of c A^-1 x is c x + c A^-1 B w. This condition means that the transfer function from w to the integrated signal,
+which is d - c A^-1 B at 0 rad/s, is zero there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,11 +20,11 @@ from models.laws.linear import LinearLaw
 from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.generalized import Plant
 
-RETURNS = 1e-9  # size relative to the sum of the terms below which a transfer function counts as zero at 0 rad/s
+RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if it is smaller than this multiple of its terms
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
-    """Converts a law on [y; integrals of S y] to a law on the measurements y, whose first states are the integrals.
+    """Converts a law on [y; integrals of S y] to a law on the measurements y. The integrals become its first states.
 
     Args:
         law: law on the q measurements and j integrals.
@@ -43,7 +44,7 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
         integrated: matrix S, shape (j, q); None if there are no integrals.
 
     Returns:
-        For each row of S that the law integrates: the index of the state, and the ratio of the state to the integral.
+        For each row of S that the law integrates, the index of the state of the law, and the ratio of this state to the integral.
     """
     states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):
@@ -57,12 +58,12 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
 
 
 def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tuple[int, float]]) -> LinearLaw:
-    """Converts a law on the measurements y to a law on [y; integrals of S y], without the states that are such integrals.
+    """Converts a law on the measurements y to a law on [y; integrals of S y]. States that are such integrals are removed.
 
     Args:
         law: law on the measurements.
         integrated: matrix S, shape (j, q); None if there are no integrals.
-        kept: result of `integrators_of`. Integrals that the law does not contain have zero gain.
+        kept: result of `integrators_of`. The gain on integrals that the law does not contain is zero.
     """
     if integrated is None:
         return law
@@ -76,19 +77,19 @@ def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tu
 
 
 def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
-    """Returns integrals as combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
+    """Returns integrals as linear combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
 
     The result is None if such an integral does not return to zero. This is the case if the rest of the loop does not decay, or
     if w acts on the integrated signal at 0 rad/s.
 
     Args:
         loop: closed loop with n states, in which the integrals affect only z.
-        plant: plant without the states of the law; its states are the first of the loop.
-        lacking: indices of the states that are such integrals.
+        plant: plant without the states of the law; its states are the first states of the loop.
+        lacking: indices of the states that are integrals which the law does not contain.
     """
     stay = np.setdiff1d(np.arange(len(loop.A)), lacking)
     A, c, d = loop.A[stay][:, stay], loop.A[lacking][:, stay], loop.Bw[lacking]
-    others = beside_weights(plant, loop.A)  # the states of weighting filters follow the integrals
+    others = beside_weights(plant, loop.A)  # the states of weighting filters are among the last states, after the integrals
     if not is_stable(np.delete(np.delete(others, lacking, axis=0), lacking, axis=1)):
         return None
     rows = np.linalg.solve(A.T, c.T).T

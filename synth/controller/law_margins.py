@@ -4,14 +4,16 @@
   axis, or outside the unit circle.
 - A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
   or semi-active dampers). The states of the law grow, but the effect of its clipped forces on the measurements is bounded.
-  Later measurements can therefore not bring the states back. An integrator has a pole at 0 and does not count, because its
-  states grow no faster than the measurements.
+  Later measurements can therefore not bring the states back. An integrator, which has a pole at 0, does not count as unstable,
+  because its state grows no faster than the sum of its inputs.
 - *Direct feedback* means that measurements contain the force of the law without delay, as accelerations do. Let H be the gain
-  from the force through these measurements back to the force. The ideal loop solves u = H u + ... . With sampling or any delay,
-  each computed force contains H times the previous force. The force grows if the spectral radius of H is 1 or more.
-- The *margins* are those of the ideal loop, cut at all actuators together. The ideal loop is continuous, without `[limits]` and
-  `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor on all forces,
-  nearest to 1, at which the loop is unstable. The gain margin is at most 1 / h for a positive eigenvalue h of H. A gain margin
+  from the force through these measurements back to the force. In the ideal loop, the force u satisfies u = H u + v, where v is
+  the part of the force without this feedback. With sampling or any delay, each computed force contains H times the previous
+  force. The force grows if the spectral radius of H is 1 or more.
+- The *margins* describe the ideal loop, cut at all actuators at once. The ideal loop is continuous, without `[limits]` and
+    `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor closest to 1 that
+    makes the loop unstable when it multiplies all forces. If H has a positive eigenvalue h, the gain margin is at most 1 / h.
+  A gain margin
   is small if it is between 1 / `LEAST_GAIN` and `LEAST_GAIN`; a disk margin is small if it is below `LEAST_DISK`. (Skogestad,
   Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` also computes the margins of each actuator.
 """
@@ -33,26 +35,27 @@ from synth.controller.loop_of import loop_of
 from synth.plant.state_space import StateSpace
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
-MANY = 3  # largest number of pairs of margins in a sentence; if there are more, it lists the smallest disk margins
-FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # factors on the forces, in steps of 1.7 %
+MANY = 3  # largest number of pairs of margins that a sentence lists; if there are more, only the smallest disk margins are listed
+FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # factors that multiply the forces, in steps of 1.7 %
 GAIN = Field[float]("gain", float, ".3g", unit="dB")
 TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
 SHARE = Field[float]("direct feedback", float, ".4g")
-EXACT = 1e-9  # relative accuracy of the distance from 1 of a factor at which the loop becomes unstable
+EXACT = 1e-9  # relative accuracy of the distance between 1 and the factor at which the loop becomes unstable
 
 
 @dataclass(frozen=True)
 class LawMargins:
-    """Stability of a law itself, and small margins of its ideal loop.
+    """Stability of a law itself, and stability margins of its ideal loop if they are small.
 
     Attributes:
         growth: growth rate of the fastest growing state of the law itself [1/s]; 0 if no state grows.
-        winds_up: text about the limit that clips the forces, if the law winds up; else empty.
-        gain: factor above 1, up to `LEAST_GAIN`, at which the loop becomes unstable; infinite without such a factor.
-        gain_lower: factor below 1, down to 1 / `LEAST_GAIN`, at which the loop becomes unstable; 0 without such a factor.
+        winds_up: if the law winds up, text about the limit that clips the forces; else empty.
+        gain: factor between 1 and `LEAST_GAIN` at which the loop becomes unstable; infinite if there is none.
+        gain_lower: factor between 1 / `LEAST_GAIN` and 1 at which the loop becomes unstable; 0 if there is none.
         disk: symmetric disk margin from 0 to 2. None if the ideal loop is unstable, if no measurement causes a force, or if the
             law is a passive element with inertance.
-        direct_feedback: spectral radius of H, with actuator lag; 0 if no measurement contains the force without delay.
+        direct_feedback: spectral radius of H, taking actuator lag into account; 0 if no measurement contains the force without
+            delay.
     """
 
     growth: float
@@ -79,7 +82,7 @@ class LawMargins:
 
     @property
     def nearest(self) -> float | None:
-        """Small gain margin that is nearest to 1, above or below; None if no gain margin is small."""
+        """The gain margin closest to 1, above or below; None if no gain margin is small."""
         nearest = self.gain if self.gain * self.gain_lower <= 1 else self.gain_lower
         return nearest if 0 < nearest < math.inf else None
 
@@ -97,7 +100,7 @@ class LawMargins:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Margins as a JSON object; None for gain margins that are not small, and for margins that do not exist."""
+        """Margins as a JSON object; gain margins that are not small, and margins that do not exist, are None."""
         return {
             "winds_up": bool(self.winds_up),
             "gain_margin": self.gain if math.isfinite(self.gain) else None,
@@ -108,9 +111,9 @@ class LawMargins:
 
 
 def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
-    """Returns the stability of a law itself, whether it winds up, and the small margins of its ideal loop.
+    """Returns the stability of a law itself, whether the law winds up, and the small margins of its ideal loop.
 
-    Margins do not apply to a nonlinear law, for which the result contains no small margin.
+    Margins do not apply to a nonlinear law; its result contains no small margin.
     """
     if controller.linear is False:
         return LawMargins(0.0, "", math.inf, 0.0, None)
@@ -122,7 +125,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
         built = loop_of(vehicle, controller)
         ideal = built if limits == vehicle.limits else loop_of(replace(vehicle, limits=limits), controller)
         direct, loop = built.direct_radius, ideal.cut(ideal.forces)
-        if _growth(loop, np.ones(1))[0] < 0:  # rounding may make a marginal loop unstable here
+        if _growth(loop, np.ones(1))[0] < 0:  # rounding can make a marginal loop look unstable here
             gain = _first_unstable(loop, FACTORS, math.inf)
             gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)
             disk = None if direct and _is_element(vehicle, controller) else disk_margin(loop).size
@@ -130,7 +133,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
 
 
 def law_fault(vehicle: Vehicle, controller: AnyController) -> str:
-    """Returns why a controller is never called the best, in words; empty for a sound one, and for a law that is not linear."""
+    """Returns the reason why a controller is never called the best; empty if there is none, or if the law is not linear."""
     if controller.growth:
         return "unstable by itself"
     margin = law_margins(vehicle, controller).disk
@@ -174,9 +177,12 @@ def _clipped_forces(vehicle: Vehicle) -> str:
 
 
 def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if a law acts like passive springs, dampers and inerters in the suspensions. Such a law is always stable.
+    """Returns True if a law acts like passive springs, dampers and inerters in the suspensions.
 
-    The law is then u = -(K d + C d' + M d'') with symmetric K and M, and none of its three parts produces energy.
+    The loop of such a law is always stable.
+
+    With the suspension deflections d, the law is then u = -(K d + C d' + M d''), where K and M are symmetric, and none of the
+    three parts produces energy.
     """
     model, law, m = vehicle.linear_model, controller.law, len(vehicle.linear_model.inputs)
     places = {one.force: one.deflection for one in vehicle.kind.suspensions}
@@ -201,9 +207,9 @@ def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def _growth(loop: StateSpace, factors: Array) -> Array:
-    """Returns the growth rate of the loop for each factor on all forces [1/s].
+    """Returns the growth rate of the loop [1/s] for each of the factors that multiply all forces.
 
-    The rate is infinite from the factor on at which the algebraic loop has no solution.
+    The rate is infinite for all factors beyond the factor at which the algebraic loop has no solution.
     """
     growth, direct = np.linalg.eigvals(loop.loop_matrix(factors)).real.max(axis=-1), np.linalg.eigvals(loop.D)
     limit = direct.real[np.abs(direct.imag) <= EXACT * np.abs(direct)].max(initial=0.0)
@@ -211,7 +217,7 @@ def _growth(loop: StateSpace, factors: Array) -> Array:
 
 
 def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
-    """Returns the factor nearest to 1 at which the loop becomes unstable; `without` if the loop is stable for all factors."""
+    """Returns the factor closest to 1 at which the loop becomes unstable, or `without` if the loop is stable for all factors."""
     unstable = np.flatnonzero(_growth(loop, factors) >= 0)
     if not len(unstable):
         return without
@@ -226,7 +232,7 @@ def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
 def _factor(factor: float) -> str:
     """Formats a factor and its value in dB.
 
-    The factor has two significant digits of its distance from 1, and at most six decimals.
+    The distance of the factor from 1 is given with two significant digits, and the factor has at most six decimals.
     """
     distance = abs(factor - 1)
     digits = f"{factor:.{min(6, max(2, 1 - math.floor(math.log10(distance))))}f}" if distance else "1"

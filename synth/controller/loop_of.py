@@ -3,13 +3,15 @@
 In continuous time, the disturbances are the road velocities (`road_velocity`), the road heights (`road_velocity.height`), and
 loads.
 
-A sampled-data loop holds the disturbances over every step. The state xi = x - J z_r does not jump if a held road height jumps:
+A sampled-data loop holds the disturbances over every step. The following state xi = x - J z_r does not jump if a held road
+height jumps:
 
     xi' = A xi + B u + (A J + Br) z_m + Bh f,    signals = C xi + D u + (C J + Cr) z_r + Dh f_s,
 
-where z_m is the road height in the middle of a step (`.midway`), and z_r is the road height at the sample (`.height`). Loads
-and, with tyre damping, mean road velocities are held over a step as f (`.held`). Signals contain them as f_s (`.signal`), and
-measurements contain them as f_r (`.read`). Measurements also contain noise (`.noise`).
+where z_m is the road height in the middle of a step (`.midway`), and z_r is the road height at the sample (`.height`). f
+(`.held`) contains the loads and, with tyre damping, the mean road velocities, which are held over a step. The same quantities
+are inputs of the signals as f_s (`.signal`), and of the measurements as f_r (`.read`). Measurements also contain noise
+(`.noise`).
 
 The outputs are the signals of the vehicle, the measurements (`body_acceleration.read`) and the commanded forces of the
 actuators (`.held`).
@@ -34,7 +36,7 @@ HEIGHT, MIDWAY, HELD, SIGNAL, READ, NOISE = ".height", ".midway", ".held", ".sig
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """Returns the linear model with its actuator lag, if it has one. The acting forces are then its last states."""
+    """Returns the linear model, with actuator lag if the vehicle has it. The last states are then the forces after the lag."""
     return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 
 
@@ -54,13 +56,14 @@ def loop_of(
     timestep: float | None = None,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> Loop:
-    """Returns the loop of a vehicle and a controller with actuator lag, in continuous time or sampled as in `[implementation]`.
+    """Returns the loop of a vehicle and a controller with actuator lag, in continuous time or as `[implementation]` samples it.
 
     Args:
         vehicle: vehicle of the controller.
         controller: linear controller. The force of its preview is an input of the loop.
         timestep: timestep of the simulation [s]; None for continuous time without delay.
-        exponential: function that computes the matrix exponential. `taylor4` predicts an RK4 integrator.
+        exponential: function that computes the matrix exponential. With `taylor4`, the loop predicts the result of an RK4
+            integrator.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep, or the law cannot be sampled.
@@ -76,7 +79,7 @@ def loop_of(
 
 
 def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = False) -> StateSpace:
-    """Returns the plant of `loop_of`: from forces and disturbances to signals, measurements and commanded forces.
+    """Returns the plant that `loop_of` uses, from forces and disturbances to signals, measurements and commanded forces.
 
     Args:
         vehicle: vehicle of the plant.
@@ -122,12 +125,12 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
 
 
 def radius(loop: Loop) -> float:
-    """Returns the growth factor of a sampled-data loop per timestep: above 1 if it is unstable, exactly 1 if it is marginal."""
+    """Returns the growth factor of a sampled-data loop per timestep: above 1 if unstable, exactly 1 if marginal."""
     return sampled_growth(loop.closed_loop.A) ** (1 / len(loop.by_step))
 
 
 def road_inputs(model: LinearModel, controller: Controller, omega: Array) -> dict[str, Array]:
-    """Returns the inputs of a continuous loop for roads with the velocity exp(j omega t), one road for each of r wheels.
+    """Returns the inputs of a continuous loop for r roads, on each of which one wheel has the road velocity exp(j omega t).
 
     Args:
         model: linear model of the vehicle.
@@ -135,7 +138,7 @@ def road_inputs(model: LinearModel, controller: Controller, omega: Array) -> dic
         omega: angular frequencies above 0 [rad/s], shape (F,).
 
     Returns:
-        The complex amplitudes of the inputs by name, shape (F, r) each.
+        The complex amplitude of each input, by name, shape (F, r).
     """
     each = np.eye(len(model.disturbances))
     drive = {name: np.broadcast_to(row, (len(omega), len(each))) for name, row in zip(model.disturbances, each, strict=True)}

@@ -1,22 +1,22 @@
 """Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by named signals.
 
-The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. A controller may add sensor
-noise and loads on the body, which are disturbances in addition to the road. A controller may also add actuator lag, whose
-states are added to those of the vehicle.
+The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. The section of a controller may
+add sensor noise and loads on the body, which are disturbances in addition to the road. It may also add actuator lag, whose
+states are added to the states of the vehicle.
 
-If z weights an integral, the integral is a state of the plant. The integral counts as measured if its signals are measured,
-because a law can integrate its measurements like the plant does. The first states of such a law are then states of the plant,
-and the closed loop contains them only once (`integral_action.py`).
+If z contains the integral of a signal, this integral is a state of the plant. The integral counts as measured if its signals
+are measured, because a law can integrate its measurements as the plant does. The first states of such a law are then also
+states of the plant, and the closed loop contains them only once (`integral_action.py`).
 
-A law in a theoretical study may measure heights above the datum of a flat road. These contain the road height z_r, which then
-acts through the law:
+A law in a theoretical study may measure heights above the datum of a flat road. These heights contain the road height z_r,
+which then acts on the vehicle through the law:
 
     x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
 
-where the matrices are those of the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and z = C xi
-+ D w + (F - C A^-1 E) z_r. A norm therefore exists if F = C A^-1 E, which means that a constant road height does not affect z.
-The norm is then that of a loop with the same number of states. If the road has a filter that is 0 at 0 rad/s, z_r is a sum of
-filter states, which the law measures.
+where the matrices describe the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and z = C xi
++ D w + (F - C A^-1 E) z_r. A finite norm therefore exists if F = C A^-1 E, which means that a constant road height does not
+affect z. The norm is then computed from a loop with the same number of states. If the road filter is zero at 0 rad/s, z_r is a
+sum of filter states, which the law measures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,13 +49,13 @@ class ClosedLoop:
     """Closed loop of a law, represented as a static gain on a larger plant.
 
     Attributes:
-        plant: plant with the states of the law, except those that are states of the plant itself.
+        plant: plant with the states of the law, except for states that the plant already contains.
         G: static gain on this plant.
         plant_without_law: plant without the states of the law.
         states: names of the states of the plant without the law.
-        law_states: number of states of the law, which follow those of the plant.
-        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. Such a
-            loop has no finite norm. None if constant heights do not affect z.
+        law_states: number of states of the law, which follow the states of the plant.
+        with_road_heights: if a constant road height affects z, closed loop with the road heights as its last states, which has
+            no finite norm; None otherwise.
         unbounded_outputs: indices of the entries of z that a constant road height affects.
     """
 
@@ -75,7 +75,7 @@ class ClosedLoop:
     def certificate(
         self, X: Array | None = None, eta: float | None = None, lower_bound: "LowerBound | None" = None
     ) -> Certificate:
-        """Returns the certificate of the loop. The arguments are those of `certify`.
+        """Returns the certificate of the loop. For the arguments, see `certify`.
 
         If a constant road height affects z, the norm is infinite and no bound exists.
         """
@@ -87,22 +87,22 @@ class ClosedLoop:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Plant and measurements for which a controller is designed, and with which it is evaluated.
+    """Plant and measurements for which a controller is designed and evaluated.
 
     Attributes:
-        plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are loads, then
-            measurement noises.
-        forces: indices of the measurements that are forces without lag, and therefore independent of the state; each with the
+        plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are the loads, followed
+            by the measurement noises.
+        forces: measurements that are forces without lag, and therefore independent of the state: index of each one, with the
             index of its input.
-        integrated: factors of the measurements in each measured integral, shape (j, q - j). The integrals are the last j
-            measurements. None if j = 0.
+        integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
+            last j measurements. None if there are none.
         integrals: indices of the states of the plant that are integrals.
         measured_integrals: indices of the states that are measured integrals, in the order of `integrated`.
         states: names of the states of the plant.
         of_heights: gain from the road heights to the measurements, shape (q, r), if the heights are integrals of the
             disturbances. None if no height above a datum is measured, or if the heights are states of the plant.
-        rates: matrices from the states and from the disturbances of the plant to the road velocities; None without
-            `of_heights`.
+        rates: matrices from the states and from the disturbances of the plant to the road velocities; None if `of_heights` is
+            None.
     """
 
     plant: Plant
@@ -116,12 +116,12 @@ class Problem:
 
     @property
     def state_measurements(self) -> list[int]:
-        """Indices of the measurements that depend on the state: all except those in `forces`."""
+        """Indices of the measurements that depend on the state: all measurements except `forces`."""
         return [i for i in range(len(self.plant.Cy)) if i not in self.forces]
 
     @property
     def of_states(self) -> Plant:
-        """Plant with the measurements that depend on the state, C_y x + Dyw w, for which designs compute a law."""
+        """Plant with only the measurements that depend on the state, C_y x + Dyw w. Designs compute a law for this plant."""
         return self.plant.rows(self.state_measurements).without_feedthrough
 
     def closed_loop(self, law: LinearLaw) -> tuple[Plant, Feedback]:
@@ -138,7 +138,7 @@ class Problem:
     def on_readings(self, law: LinearLaw) -> LinearLaw:
         """Converts a law on measurements and measured integrals to a law on the measurements alone.
 
-        The integrals become its first states.
+        The integrals become the first states of the law.
         """
         if self.integrated is None:
             return law
@@ -146,7 +146,7 @@ class Problem:
         return FEATURES.load("integral action").with_integrators(law, self.integrated)
 
     def judged(self, law: LinearLaw) -> "ClosedLoop":
-        """Returns the closed loop of a law on the measurements, to which the certificate of the law applies.
+        """Returns the closed loop of a law on the measurements. The certificate of the law describes this loop.
 
         Raises:
             InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
@@ -182,7 +182,7 @@ class Problem:
         (n, r), (k, w) = (len(plant.A), plant.Bw.shape[1]), (of_heights.shape[1], self.rates[1].shape[1])
         C, D = np.eye(len(self.plant.A), n).T @ self.rates[0].T, np.eye(w, r).T @ self.rates[1].T
         K = judged.G.K[:, : len(of_heights)]
-        # Gains that cancel leave a rounding error relative to `terms`
+        # If gains cancel, their sum has a rounding error relative to `terms`
         read, terms = K @ of_heights, np.abs(K) @ np.abs(of_heights)
         E, F = plant.B @ read, plant.D @ read
         inverse = np.linalg.inv(loop.A)
@@ -208,7 +208,7 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
         vehicle: vehicle of the controller.
         measured: names of the q measured signals.
         hardware: sensor noise, actuator lag and loads.
-        plant: `generalized_plant` of the vehicle for this hardware, if it is known.
+        plant: `generalized_plant` of the vehicle for this hardware, if already computed.
 
     Raises:
         InputError: the vehicle does not have a measured signal.
@@ -249,10 +249,10 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
 def _heights_read(
     vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: Plant
 ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
-    """Returns the contributions of measured heights to Cy and Dyw, and `of_heights` and `rates` of a `Problem`.
+    """Returns the contributions of measured heights to Cy and Dyw, and the attributes `of_heights` and `rates` of a `Problem`.
 
-    The heights contain the warp of the road, which is a separate disturbance. The rest of the heights is the integral of the
-    road velocities.
+    The measured heights contain the warp of the road, which is a separate disturbance. The other part of the heights is the
+    integral of the road velocities.
     """
     Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
     by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
@@ -281,12 +281,12 @@ def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
 
 
 def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Returns the integrals in z whose signals are all measured: the factor of each signal, by name of the integral."""
+    """Returns the integrals in z whose signals are all measured: for each integral, by name, the factor of each signal."""
     return {name: terms for name, terms in vehicle.integrals.items() if set(terms) <= set(measured)}
 
 
 def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
-    """Returns the effect of loads that count as 1 m/s of w on states and outputs, shapes (n, l) and (p, l)."""
+    """Returns the effects of loads on states and outputs, shapes (n, l) and (p, l), scaled so that a load counts as w = 1 m/s."""
     some, scale = [model.loads.index(name) for name, _ in loads], np.array([value for _, value in loads])
     return model.Bl[:, some] * scale, model.Dl[:, some] * scale
 
@@ -294,7 +294,7 @@ def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[A
 def generalized_plant(
     vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False, loads: Sequence[tuple[str, float]] = ()
 ) -> Plant:
-    """Returns the plant (15) of a vehicle: its linear model, with the weighted signals of `[performance]` as z (34)-(37).
+    """Returns the plant (15) of a vehicle: its linear model, with the weighted signals of `[performance]` as z, see (34)-(37).
 
     The states of the vehicle come first; its last states are the forces after actuator lag. The states of frequency-dependent
     weights and of the road filter follow.
@@ -302,10 +302,10 @@ def generalized_plant(
     Args:
         vehicle: vehicle of the plant.
         bandwidth: corner frequency of the actuator lag [rad/s]; None for forces without lag.
-        acting: True if z contains the force after the lag, as in the implemented system. Otherwise, z contains the requested
-            force, which the controller determines.
-        loads: loads on the body, each with the value that counts as 1 m/s of w. The loads are the last disturbances, after
-            those of the road.
+        acting: True if z contains the force after the lag, as in the implemented system. Otherwise, z contains the force that
+            the controller requests.
+        loads: loads on the body, each with the value that counts as w = 1 m/s. The loads are the last disturbances, after the
+            road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
     _check_integrals(vehicle, model)
@@ -336,7 +336,8 @@ def generalized_plant(
     disturbances = append(*roads, *[gain(1.0)] * len(loads))
     if not over_datum:
         return _with_integrals(with_weights(plant, outputs, disturbances), vehicle, model)
-    # If w = F v with F(0) = 0, the road height F v / s has the same states as F, with C A^-1 instead of C.
+    # If w = F v with F(0) = 0, the transfer function F / s from v to the road height has the same states as F, with C A^-1
+    # instead of C.
     of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
     states = len(disturbances.A) // len(roads)
     height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))
@@ -344,12 +345,12 @@ def generalized_plant(
 
 
 def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
-    """Returns the linear model with actuator lag. Its last states are the integrals that z weights."""
+    """Returns the linear model with actuator lag. The last states of the model are the integrals that z contains."""
     return vehicle.linear_model.behind_lag(bandwidth).with_integrals(vehicle.integrals)
 
 
 def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant:
-    """Adds to z the integrals that are part of its filters; they are states of the plant already."""
+    """Adds to z the integrals that its weights contain. These integrals are already states of the plant."""
     if not vehicle.integrals:
         return plant
     C = plant.C.copy()
@@ -361,7 +362,7 @@ def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant
 
 
 def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
-    """Raises an InputError if z contains the integral of a height, or of a signal that no constant force changes."""
+    """Raises an InputError if z contains the integral of a height, or of a signal that no constant force can change."""
     for name, terms in vehicle.integrals.items():
         what = f"[performance] weights the integral of {name.removeprefix('integral_of_')}"
         if heights := [signal for signal in terms if signal in model.heights]:
@@ -381,11 +382,11 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
             )
 
 
-SINGULAR = 1e-12  # relative size below which a singular value of a balanced matrix counts as zero
+SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its relative size is smaller
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:
-    """Raises an InputError if z contains a height that has no norm, or that the warp of the road changes."""
+    """Raises an InputError if z contains a height for which no norm exists, or which the warp of the road changes."""
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
         raise InputError(f"[performance] {signal} has no norm, because this {vehicle.kind.name} responds to road warp; give 0")
@@ -401,7 +402,7 @@ def _system(one: "Filter | None") -> StateSpace:
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
-    """Returns the names of the states of a vehicle's plant: those of the vehicle, followed by those of its filters."""
+    """Returns the names of the states of a vehicle's plant: the states of the vehicle, followed by the states of its filters."""
     model = _design_model(vehicle, bandwidth)
     if not vehicle.filtered:
         return model.states
@@ -415,7 +416,7 @@ def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str,
 
 
 def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | None = None) -> tuple[Array, Array]:
-    """Returns C_y on the states of a vehicle's plant, shape (q, n), and the feedthrough of the forces, shape (q, m).
+    """Returns the measurement matrix C_y of a vehicle's plant, shape (q, n), and the feedthrough of the forces, shape (q, m).
 
     Filter states are not measured, because they belong to the weights and not to the vehicle.
 
@@ -433,11 +434,11 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 
 
 def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
-    """Returns the effect of the road's warp as a separate disturbance, shapes (n, k) and (len(signals), k).
+    """Returns the effects of the road's warp on the states and on signals, shapes (n, k) and (len(signals), k).
 
-    As an integral of the road velocity, a constant warp would be unbounded. As a separate disturbance, the warp is bounded. The
-    warp is scaled by the rate of wheel hop (`LinearModel.twist_rate`). The bound then holds for warp and road velocities
-    together.
+    If the warp were the integral of a road velocity, its effect could be unbounded, because a constant warp has a lasting
+    effect. The warp is therefore a separate disturbance. It is scaled by the rate of wheel hop (`LinearModel.twist_rate`), so
+    that a bound holds for warp and road velocities together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)
@@ -446,9 +447,9 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
 
 
 def road_twist_inputs(model: LinearModel) -> Array:
-    """Returns the road warps: combinations of the road heights under r wheels that act by their height.
+    """Returns the road warps, which are combinations of the road heights under r wheels whose constant values affect the vehicle.
 
-    The result is orthonormal, shape (k, r).
+    The k rows are orthonormal, shape (k, r).
     """
     by_road = [i for i, name in enumerate(model.outputs) if name not in model.heights]
     _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr[by_road]]))

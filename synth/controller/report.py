@@ -1,4 +1,4 @@
-"""Text reports on a controller and its design, and text and JSON reports on its sampled-data loop."""
+"""Texts about a controller and its design, and texts and JSON about its sampled-data loop."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,8 +23,8 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
-SAME = 10 * ABOVE  # relative difference of a norm between two machines; depends on the distance of its levels
-ROUTES_AGREE = 1e-6  # largest relative difference between a norm and the gain of an actual disturbance
+SAME = 10 * ABOVE  # allowed relative difference of a norm between two machines, based on the distance between its levels
+ROUTES_AGREE = 1e-6  # largest allowed relative difference between a norm and the gain for an actual disturbance
 
 
 BOUND = Field[Certificate]("bound", lambda one: one.bound, NORM_DIGITS, key="bound")
@@ -39,11 +39,11 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
-    """Returns the norm of the sampled-data loop of a vehicle and a controller.
+    """Returns the norm of the sampled-data loop of a vehicle and a controller, if the vehicle file describes an implementation.
 
-    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop
-    without such a norm. This occurs only with laws for theoretical study: a constant road height affects z, or the law measures
-    the road's warp.
+    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop for
+    which no such norm exists. This occurs only with laws for theoretical study, if a constant road height affects z, or if the
+    law measures the road's warp.
     """
     if vehicle.implementation.undelayed:
         return None
@@ -68,7 +68,7 @@ def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNorm | None, tuple[str, ...]]:
-    """Returns `norm_if_implemented`; if the law cannot run at the sample period, returns None and a text with the reason."""
+    """Returns the result of `norm_if_implemented`, or None and the reason if the law cannot run at the sample period."""
     try:
         return norm_if_implemented(vehicle, controller), ()
     except InputError as error:
@@ -76,7 +76,7 @@ def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNo
 
 
 def norm_record(norm: SampledNorm | None) -> dict[str, float]:
-    """Returns the norm in the form in which certificates contain it; empty if the norm is None or infinite."""
+    """Returns the norm as certificates contain it; empty if the norm is None or infinite."""
     return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
 
 
@@ -86,14 +86,14 @@ PROOF = Record[SampledNorm](
     reached="reached",
     angle="angle",
     decided_within_a_period="inside",
-)  # enclosure of a finite norm
+)  # the two levels that enclose a finite norm
 PROVED_NORM = Record[SampledNorm](
     **{SAMPLED_NORM: lambda norm: norm.value, f"{SAMPLED_NORM}_proof": PROOF.all(lambda norm: norm if norm.stable else None)}
 )
 
 
 def built_words(vehicle: Vehicle) -> str:
-    """Describes the linear parts of an implementation, which its norm includes."""
+    """Describes the linear parts of an implementation, which are included in its norm."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
 
@@ -110,10 +110,10 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
 
 
 def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns certificate failures to ignore: instability of the continuous loop, if the sampled-data loop is stable.
+    """Returns the failures of the certificate to ignore: instability of the continuous loop if the sampled-data loop is stable.
 
-    If the vehicle file describes an implementation, the sampled-data loop decides, because it is the loop that runs in the
-    vehicle.
+    If the vehicle file describes an implementation, only the stability of the sampled-data loop counts, because this loop runs
+    in the vehicle.
     """
     cured = norm is not None and norm.stable and not vehicle.implementation.undelayed
     return (certificate.stability.words,) if cured and not certificate.stable else ()
@@ -122,7 +122,7 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
 def failures_of_sampled_loop(
     vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
 ) -> tuple[str, ...]:
-    """Describes the failures of the sampled-data loop, and those of the continuous loop that still apply."""
+    """Describes the failures of the sampled-data loop, and the failures of the continuous loop that still apply."""
     excused = instability_cured_by_sampling(vehicle, certificate, norm)
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
@@ -135,10 +135,10 @@ def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: Samp
 def false_norm(
     record: Mapping[str, Any] | None, vehicle: Vehicle, norm_of_loop: Callable[[], SampledNorm | None]
 ) -> tuple[str, ...]:
-    """Describes the false claims in a record about the norm of the sampled-data loop.
+    """Describes the false claims that a record makes about the norm of the sampled-data loop.
 
     Args:
-        record: checked certificate; None if the controller has no certificate.
+        record: certificate to check; None if the controller has no certificate.
         vehicle: vehicle with the implementation of the controller.
         norm_of_loop: function that computes the norm (`norm_if_implemented`). This function is called only if the record claims
             a norm.
@@ -156,8 +156,9 @@ def false_norm(
     return (f"{claimed}, but it is {NORM_AS_IMPLEMENTED.cell(norm)}{off} with {built_words(vehicle)}",)
 
 
-SETTLED_CHANGE = 1e-2  # relative change over the last hundredfold of mu below which a gain is within 1e-4 of the limit
-SHORT = 1e-6  # relative gap in gamma below which the path counts as completed
+# if a gain changes by less than this relative amount over the last hundredfold decrease of mu, it is within 1e-4 of its limit
+SETTLED_CHANGE = 1e-2
+SHORT = 1e-6  # the central path counts as completed if the relative gap in gamma is smaller
 
 
 def law_text(law: LinearLaw) -> str:
@@ -169,7 +170,7 @@ def law_text(law: LinearLaw) -> str:
 
 
 def named_gain(vehicle: Vehicle, controller: Controller) -> str:
-    """Returns a static law with the unit and the signal of each entry; the matrix if it has more than `MOST_ENTRIES`."""
+    """Returns a static law as text with units and signals, or as a matrix if it has more than `MOST_ENTRIES` entries."""
     gain, forces = controller.law.D, vehicle.linear_model.inputs
     if controller.law.states or gain.size > MOST_ENTRIES or gain.shape != (len(forces), len(controller.measured)):
         return law_text(controller.law)
@@ -186,18 +187,18 @@ def named_gain(vehicle: Vehicle, controller: Controller) -> str:
     return "; ".join(rows)
 
 
-MOST_ENTRIES = 8  # of a gain that is written with signals and units
+MOST_ENTRIES = 8  # largest number of entries of a gain that is printed with signals and units
 
 
 def pid_line(controller: Controller) -> str:
-    """Formats the gains of a designed PI or PID law as in a vehicle file. The result is empty for other laws."""
+    """Formats the gains of a designed PI or PID law in the syntax of a vehicle file; empty for other laws."""
     pid = FEATURES.load("PID laws")
     remarked = (remark.partition(pid.ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
     return next(filter(None, remarked), "") or pid.pid_text(controller.law)
 
 
 def sign_note(controller: Controller) -> str:
-    """Returns a note about signs if the loop of a PI or PID law with a positive gain is unstable; otherwise empty."""
+    """Returns a note about the signs of gains if a PI or PID law with a positive gain gives an unstable loop; else empty."""
     if controller.certificate.stable or not controller.law.states:
         return ""
     pid = FEATURES.load("PID laws")
@@ -209,7 +210,7 @@ def sign_note(controller: Controller) -> str:
 def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note about road warp, which is a separate disturbance, if it affects the vehicle."""
     count, rate = len(road_twist_inputs(vehicle.linear_model)), rough(vehicle.linear_model.twist_rate)
-    # For a body with a roll or a pitch axis, the weight acts in proportion to the inclination of the road.
+    # If the body has a roll or a pitch axis, its weight acts in proportion to the inclination of the road.
     axes = {"roll_centre_height_front": "roll", "roll_centre_height": "roll", "pitch_centre_height": "pitch"}
     felt = [way for parameter, way in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
@@ -218,7 +219,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Returns notes about the ideal loop to which the numbers refer, if the vehicle file also describes an implementation."""
+    """If the vehicle file describes an implementation, returns notes that the printed numbers refer to the ideal loop."""
     names = [as_name(one.name) for one in controllers if one.hardware != NOMINAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
     but = f", except for the {what} that {', '.join(names)} {'include' if len(names) > 1 else 'includes'}" if names else ""
@@ -243,7 +244,7 @@ IDLE_INTEGRAL = (
     "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
     "integrated signal permanently, or no force uses the integral"
 )
-INTEGRATOR_POLE = 1e-9  # relative distance from 0 below which a pole belongs to an integrator
+INTEGRATOR_POLE = 1e-9  # a pole whose relative distance from 0 is smaller belongs to an integrator
 
 
 def _has_idle_integral(controller: Controller) -> bool:
@@ -257,7 +258,7 @@ def _has_idle_integral(controller: Controller) -> bool:
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns notes about instability of the law itself, small margins, its integral and its anti-windup."""
+    """Returns notes about a law: its own instability, small margins of its loop, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
@@ -270,11 +271,12 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     return notes
 
 
-GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED_KEY)  # growth rate of an unstable law itself [1/s]
+# growth rate of a law that is itself unstable [1/s]
+GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED_KEY)
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:
-    """Returns notes about the filters in z and w and their poles, if there are filters."""
+    """Returns notes about the filters in z and w, and about their poles; empty if there are no filters."""
     if not vehicle.filtered:
         return []
     texts = [f"{row.name} filtered by {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
@@ -295,7 +297,7 @@ STUDY = "for study only: no sensor on a car measures heights over the datum of a
 
 
 def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
-    """Returns notes about a law for theoretical study: no car can measure its signals, and why it may have no finite norm."""
+    """Returns notes about a law for theoretical study: that no car can measure its signals, and why no finite norm may exist."""
     if not vehicle.linear_model.over_datum(controller.measured):
         return []
     shows = controller.problem(vehicle).judged(controller.law).unbounded_outputs if controller.linear is True else ()
@@ -307,7 +309,7 @@ FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the pr
 
 
 def judged_lines(controller: Controller) -> list[str]:
-    """Returns notes about what a controller's norm and bounds include: noise, loads, lag, preview, a Tustin transform."""
+    """Returns notes about noise, loads, lag, preview and a Tustin transform, if a controller's norm and bounds include them."""
     measured, hardware = controller.measured, controller.hardware
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in zip(measured, hardware.noise, strict=bool(hardware.noise)) if rms)
     loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)

@@ -1,7 +1,7 @@
 """Sample-period margin: the shortest sample period at which a loop is unstable.
 
-A copy of the law samples the forces at which the loop is cut. Another copy of the law computes the other forces in continuous
-time. Each copy contains only the states of the law on which its forces depend.
+One copy of the law computes the forces at which the loop is cut, in discrete time. Another copy computes the other forces in
+continuous time. Each copy contains only the states of the law on which its forces depend.
 """
 
 import math
@@ -18,19 +18,20 @@ from models.laws.linear import LinearLaw
 from synth.plant.loop import HoldInterval, Loop
 from synth.plant.state_space import spectral_radius
 
-DECAYS = 1e-9  # decay relative to the fastest rate of the law below which a mode counts as not decaying
-FINER = 0.05  # largest angle by which a pole turns between two sample periods that are tried [rad]
-TOGETHER = 128  # number of sample periods in one batch
-MOST_SQUARINGS = 4  # largest number of times that a transition matrix is squared to prove that it contracts
-CONTRACTS = 0.4  # norm of a power below which no eigenvalue reaches the unit circle within one step
-SHALLOW = 0.2  # height of a minimum, relative to the rise of the parabola over one step, above which it is no instability
+DECAYS = 1e-9  # a mode counts as not decaying if its decay, relative to the fastest rate of the law, is smaller
+FINER = 0.05  # largest angle by which a pole may turn from one tested sample period to the next [rad]
+TOGETHER = 128  # number of sample periods that are computed together
+MOST_SQUARINGS = 4  # largest number of squarings of a transition matrix to prove that it is a contraction
+# if the norm of a power of the transition matrix is smaller, no eigenvalue reaches the unit circle within one step
+CONTRACTS = 0.4
+SHALLOW = 0.2  # a minimum higher than this, relative to the rise of the parabola over one step, does not indicate instability
 SMALL = 1e-3  # accuracy of the position of a minimum, relative to one step
-WIDEST = 1.0  # largest step from one sample period to the next, if no pole turns [s]
-LONGEST = 100.0  # longest sample period that is tried, if the vehicle does not settle without the loop [s]
+WIDEST = 1.0  # largest step between sample periods if no pole turns [s]
+LONGEST = 100.0  # longest sample period that is tested if the vehicle does not settle without the loop [s]
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled: if all are cut, if forces are measured, or if two copies would drift apart.
+    """Returns True if all forces must be sampled: all are cut, some are measured, or two copies of the law would drift apart.
 
     Two copies drift apart if both have a mode that does not decay, such as an integrator, because no measurement contains their
     difference.
@@ -43,7 +44,7 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
 
 
 def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
-    """Returns the continuous loop of the sampled forces, whose plant contains the forces that stay continuous."""
+    """Returns the continuous loop of the sampled forces. Its plant includes the feedback of the forces that are not sampled."""
     plant, law, mine = loop.plant.part(loop.measured, loop.forces), loop.acting_law, np.isin(loop.forces, forces)
     if all_sampled(loop, forces):
         return replace(loop, plant=plant)
@@ -53,7 +54,7 @@ def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
 
 
 def sampled_growth_at(loop: Loop, period: float) -> float:
-    """Returns the spectral radius minus 1 of a loop that is sampled with a period [s]."""
+    """Returns the spectral radius, minus 1, of a loop that is sampled with the given period [s]."""
     return spectral_radius(replace(loop, hold=(HoldInterval(period, 0),)).closed_loop.A) - 1
 
 
@@ -68,14 +69,14 @@ def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
     plant, law = loop.plant.part(loop.measured, loop.forces), loop.acting_law
     (n, m), (k, q), C, D = plant.B.shape, law.B.shape, plant.C, plant.D
     held = _powers(np.vstack([np.hstack([plant.A, plant.B]), np.zeros((m, n + m))]), start, step, count)
-    # Like `LinearLaw.sampled`, except that the ramp is divided by the period later.
+    # Computed as in `LinearLaw.sampled`, but the ramp is divided by the period later.
     chain = np.zeros((k + 2 * q, k + 2 * q))
     chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
     periods = start + step * np.arange(1, count + 1)
     powers = _powers(chain, start, step, count)
     A, ramp = powers[:, :k, :k], powers[:, :k, k + q :] / periods[:, None, None]
     B, through = powers[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
-    # Acts on [x; x_c; previous forces]. The previous forces are states only if they are measured.
+    # The matrix acts on [x; x_c; previous forces]. The previous forces are states only if they are measured.
     previous = m if np.any(D) else 0
     seen = np.hstack([C, np.zeros((q, k)), D[:, :previous]])
     forces = through @ seen
@@ -90,7 +91,7 @@ def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
 
 
 def _needed_states(law: LinearLaw, forces: Array) -> Array:
-    """Returns a mask of the states on which some forces depend, directly or through other states, shape (k,)."""
+    """Returns a mask of the states on which the given forces depend, directly or through other states, shape (k,)."""
     needed = np.any(law.C[forces] != 0, axis=0)
     for _ in range(law.states):
         needed = needed | np.any(law.A[needed] != 0, axis=0)
@@ -98,7 +99,7 @@ def _needed_states(law: LinearLaw, forces: Array) -> Array:
 
 
 def _part(law: LinearLaw, forces: Array) -> LinearLaw:
-    """Returns the part of the law that computes some forces, with the states on which they depend."""
+    """Returns the part of the law that computes the given forces, with the states on which these forces depend."""
     kept = _needed_states(law, forces)
     return LinearLaw(law.A[np.ix_(kept, kept)], law.B[kept], law.C[np.ix_(forces, kept)], law.D[forces])
 
@@ -115,12 +116,12 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
 
 
 def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> float:
-    """Returns the shortest sample period at which a continuous loop is unstable with some forces sampled [s]; may be infinite.
+    """Returns the shortest sample period of some forces at which a continuous loop is unstable [s]; may be infinite.
 
-    The search takes steps in the sample period that turn no pole by more than 0.05 rad, until all motion has decayed. The
-    product of 1 - z_i z_j over all pairs of eigenvalues is smooth between the steps, and negative if the loop is unstable. The
-    minima of this product show instabilities that last for less than one step. The result is 0 if a force returns through its
-    own measurement without loss.
+    The search increases the sample period in steps that turn no pole by more than 0.05 rad, until all motion has decayed. The
+    product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period, and it is negative where
+    the loop becomes unstable. The minima of this product reveal ranges of instability that are shorter than one step. The
+    result is 0 if a force returns undiminished through its own measurement.
 
     Args:
         loop: loop that is stable in continuous time.
@@ -137,8 +138,8 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
         alive = np.abs(poles[-poles.real * start < 25])  # the motion of all other poles has decayed to e^-25
         if len(alive) == 0:
             break
-        h = FINER / max(float(alive.max()), FINER / WIDEST)  # the pole of an integrator at 0 does not turn
-        begun = max(start - 2 * h, 0.0)  # batches overlap, to find minima between them
+        h = FINER / max(float(alive.max()), FINER / WIDEST)  # the pole of an integrator, at 0, does not turn
+        begun = max(start - 2 * h, 0.0)  # batches overlap, so that minima between them are found
         count = min(TOGETHER, math.ceil((LONGEST - begun) / h))
         products = _products(transitions(part, begun, h, count))
         for i in range(count):
@@ -146,9 +147,11 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
             if products[i] > 0:
                 low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
                 first = _dip(part, first, h, products[i - 1 : i + 2]) if low else None
-            if first is not None and growth(first) > 0:  # the loop is unstable, and not only by rounding of the product
+            # the loop is unstable, and this is not just a rounding error of the product
+            if first is not None and growth(first) > 0:
                 before = max(first - h, 1e-3 * h)  # not 0, where every loop is marginal
-                if growth(before) >= 0:  # the loop is far faster than the plant: rounding, or unstable at a shorter period
+                # the loop is far faster than the plant: either rounding, or instability at a shorter period
+                if growth(before) >= 0:
                     return before
                 refined: Any = optimize.brentq(growth, before, first, xtol=1e-13)
                 return float(refined)
@@ -159,7 +162,7 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
 def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
     """Returns the sample period near `period` at which the product is smallest [s].
 
-    The result is None if the minimum of the parabola through three products is far above 0.
+    The result is None if the parabola through three products has its minimum far above 0.
     """
     bend = products[0] - 2 * products[1] + products[2]
     lowest = products[1] - (products[2] - products[0]) ** 2 / (8 * bend)
@@ -180,7 +183,8 @@ def _products(transitions: Array) -> Array:
 
     The product is minus infinity if an eigenvalue is outside the unit circle, and NaN if entries are not finite.
     """
-    # If a power of the matrix has a norm below 1, no eigenvalue is outside. Powers are cheaper than eigenvalues.
+    # If a power of the matrix has a norm below 1, no eigenvalue is outside the unit circle. Powers take less time than
+    # eigenvalues.
     left, power = np.arange(len(transitions)), transitions
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(MOST_SQUARINGS):

@@ -1,20 +1,21 @@
 """Stability margins of a loop, predicted from the loop cut at some forces.
 
 The cut loop (`Loop.cut`) is L(s) = C (s I - A)^-1 B + D. The closed loop reaches the limit of stability if an eigenvalue of L(j
-w) is 1. No margin is read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X (+) Y = kron(X, I) + kron(I,
-Y), the margins are computed as follows:
+w) is 1 at some frequency w. The margins are not read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X
+(+) Y = kron(X, I) + kron(I, Y), the margins are computed as follows:
 
-- Gain: a factor k moves a pole of A + k M to the imaginary axis only if two poles add up to zero. This requires that
+- Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. This requires that
   (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
-- Phase lag: z = exp(-j theta) moves a pole to the axis only if (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 /
+- Phase lag: a phase lag theta, with the factor z = exp(-j theta), moves a pole to the axis only if (A + z M) (+) (A + conj(z)
+    M) is singular. Since conj(z) = 1 /
   z, this is a quadratic eigenvalue problem in z. The solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
-- Delay: a delay of theta / w causes the lag theta. The delay margin is that of the crossover with the smallest delay.
-- Phase lead: a lead is 2 pi minus the lag. The crossover with the largest lag therefore has the smallest lead.
+- Delay: a delay of theta / w causes the lag theta at the frequency w. The delay margin is the smallest delay of all crossovers.
+- Phase lead: a phase lead is 2 pi minus the phase lag. The crossover with the largest lag therefore has the smallest lead.
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.
 
-If D is not zero, the problems contain further matrices, and a fine grid gives the candidates. All candidates are then refined
-with the poles of the closed loop.
+If D is not zero, the problems contain additional matrices, and a fine grid gives the candidates for phase lags. All candidates
+are then refined by means of the poles of the closed loop.
 """
 
 import itertools
@@ -32,11 +33,11 @@ from synth.controller.sample_period_margin import all_sampled, largest_sample_pe
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-LARGEST_FACTOR = 1e4  # a loop that tolerates this gain counts as unlimited, because rounding decides about larger factors
+LARGEST_FACTOR = 1e4  # a loop that tolerates this factor counts as having no upper limit, because rounding affects larger factors
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
-SAME = 1e-6  # relative difference below which two factors are one; a double eigenvalue has only half the digits
-ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; odd, so that pi is one of them
-# Largest number of states for the quadratic problem; with more, its matrix has over 500 rows: a grid is faster
+SAME = 1e-6  # relative difference below which two factors count as one; a double eigenvalue has only half of the digits
+ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; they are odd, so that pi is among the angles
+# Largest number of states for the quadratic problem. With more states, its matrix has over 500 rows, and a grid is faster
 MOST_QUADRATIC = 18
 
 
@@ -45,8 +46,8 @@ class Crossover:
     """Frequency w at which an eigenvalue of L(j w) has the magnitude 1.
 
     Attributes:
-        frequency: frequency w [rad/s]; infinite for a force that grows through its own measurement with any delay.
-        phase: phase lag with which the eigenvalue becomes 1, between 0 and 2 pi [rad].
+        frequency: frequency w [rad/s]; infinite if a force grows through its own measurement with any delay.
+        phase: phase lag that makes the eigenvalue equal to 1, between 0 and 2 pi [rad].
     """
 
     frequency: float
@@ -59,21 +60,22 @@ class Crossover:
 
     @property
     def lead(self) -> float:
-        """Phase lead with which the eigenvalue becomes 1, 2 pi minus the lag [rad]."""
+        """Phase lead that makes the eigenvalue equal to 1 [rad]: 2 pi minus the phase lag."""
         return 2 * math.pi - self.phase
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Predicted stability margins of a loop; infinite for an unlimited margin.
+    """Predicted stability margins of a loop; an unlimited margin is infinite.
 
     Attributes:
         gain: smallest factor above 1 at which the loop is unstable.
-        gain_lower: largest factor below 1 at which the loop is unstable; 0 without such a factor.
-        crossovers: all crossovers, ordered by increasing delay. The first one gives the delay margin.
+        gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is none.
+        crossovers: all crossovers, ordered by increasing delay. The first crossover gives the delay margin.
         sample_period: shortest sample period at which the loop is unstable [s].
         disk: disk margin, for complex factors on the forces.
-        all_sampled: True if `sample_period` applies to sampling of all forces, and not only of those at which the loop is cut.
+        all_sampled: True if `sample_period` applies to sampling of all forces, and not only of the forces at which the loop is
+            cut.
     """
 
     gain: float
@@ -85,49 +87,48 @@ class Margins:
 
     @property
     def delay(self) -> float:
-        """Shortest delay at which the loop is unstable [s]; infinite without crossover."""
+        """Shortest delay at which the loop is unstable [s]; infinite if there is no crossover."""
         return self.crossovers[0].delay if self.crossovers else math.inf
 
     @property
     def phase(self) -> float:
-        """Phase lag of the shortest delay at its crossover [rad]; infinite without crossover."""
+        """Phase lag at the crossover with the shortest delay [rad]; infinite if there is no crossover."""
         return self.crossovers[0].phase if self.crossovers else math.inf
 
     @property
     def frequency(self) -> float:
-        """Frequency of the crossover with the shortest delay [rad/s]; NaN without crossover."""
+        """Frequency of the crossover with the shortest delay [rad/s]; NaN if there is no crossover."""
         return self.crossovers[0].frequency if self.crossovers else math.nan
 
     @property
     def smallest_phase(self) -> float:
-        """Smallest phase lag of all crossovers [rad].
+        """Smallest phase lag among all crossovers [rad].
 
-        This lag is below `phase` if a crossover at a lower frequency needs less lag, but more delay.
+        This lag is smaller than `phase` if a crossover at a lower frequency has a smaller lag but a longer delay.
         """
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
     @property
     def leading(self) -> Crossover | None:
-        """Crossover with the smallest phase lead; None without crossover."""
+        """Crossover with the smallest phase lead; None if there is no crossover."""
         return min((one for one in self.crossovers if math.isfinite(one.frequency)), key=lambda one: one.lead, default=None)
 
     @property
     def lead(self) -> float:
-        """Smallest phase lead of all crossovers [rad]; infinite without crossover."""
+        """Smallest phase lead among all crossovers [rad]; infinite if there is no crossover."""
         return self.leading.lead if self.leading else math.inf
 
     @property
     def lead_frequency(self) -> float:
-        """Frequency of the crossover with the smallest lead [rad/s]; NaN without crossover."""
+        """Frequency of the crossover with the smallest lead [rad/s]; NaN if there is no crossover."""
         return self.leading.frequency if self.leading else math.nan
 
 
 def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
-    """Returns all stability margins of a loop that is cut at some forces. The closed loop must be stable.
+    """Returns all stability margins of a stable closed loop that is cut at some forces.
 
-    For a sampled-data loop, the sample-period margin is not computed. The bilinear map z = (1 + s) / (1 - s) maps the unit
-    circle to the imaginary axis. The same map turns the loop into a continuous loop with the same crossovers and disk margin at
-    other frequencies.
+    For a sampled-data loop, the sample-period margin is not computed. The bilinear transform z = (1 + s) / (1 - s) turns the
+    loop into a continuous loop, with the same phase lags at crossovers and the same disk margin, but at other frequencies.
 
     Args:
         loop: closed loop, continuous or sampled.
@@ -152,7 +153,7 @@ def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
 
 
 def bilinear(cut: StateSpace) -> StateSpace:
-    """Returns the continuous image of a discrete system without feedthrough for z = (1 + s) / (1 - s)."""
+    """Returns the continuous system into which z = (1 + s) / (1 - s) transforms a discrete system without feedthrough."""
     inverse = np.linalg.inv(np.eye(len(cut.A)) + cut.A)
     A, B, C = inverse @ (cut.A - np.eye(len(cut.A))), inverse @ cut.B, 2 * cut.C @ inverse
     return replace(cut, A=A, B=B, C=C, D=-cut.C @ B, dt=None)
@@ -161,9 +162,9 @@ def bilinear(cut: StateSpace) -> StateSpace:
 def gain_crossings(cut: StateSpace) -> list[float]:
     """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
-    With feedthrough, a factor for which the spectral radius of the feedthrough reaches 1 is a limit, too. Beyond this factor,
-    any delay makes the loop unstable. If this factor is below 1, the loop is only theoretical, and factors beyond it are
-    returned.
+    If the loop has a feedthrough, the factor at which the spectral radius of the feedthrough reaches 1 is also a limit. Beyond
+    this factor, any delay makes the loop unstable. If this factor is below 1, the loop itself is only theoretical, and factors
+    beyond it are returned, too.
     """
     n = len(cut.A)
     if cut.dt is not None:
@@ -176,7 +177,7 @@ def gain_crossings(cut: StateSpace) -> list[float]:
             return float(np.linalg.eigvals(cut.loop_matrix(k)).real.max())
 
     if np.any(cut.D):
-        # A force that is in its own measurement with the factor k D grows with any delay if k D reaches 1.
+        # A force that appears in its own measurement with the factor k D grows with any delay if k D reaches 1.
         radius = cut.feedthrough_radius
         turned = 1 / max(radius, 1 / LARGEST_FACTOR) if radius < 1 else math.inf
         changes = _sign_changes(growth, FACTORS)
@@ -185,7 +186,8 @@ def gain_crossings(cut: StateSpace) -> list[float]:
         return _sign_changes(growth, FACTORS)
     closed, M = cut.loop_matrix(1.0), cut.B @ cut.C
     if cut.dt is None:
-        # Starts from the stable closed loop. With k = 1 + d, S + d T is singular if -1 / d is an eigenvalue of S^-1 T.
+        # The computation starts from the stable closed loop. With k = 1 + d, the matrix S + d T is singular if -1 / d is an
+        # eigenvalue of S^-1 T.
         S, T = (_kronecker_sum(X, X) for X in (closed, M))
         inverses = -np.linalg.eigvals(np.linalg.solve(S, T))
     else:
@@ -201,7 +203,8 @@ def gain_crossings(cut: StateSpace) -> list[float]:
 def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
     """Returns every crossover at a frequency above zero, ordered by delay."""
     # The pencil contains squares of the loop's entries. If the units of states differ (a lagged force in N, a position in m),
-    # rounding may hide solutions. Verifying a crossover is cheap, but missing one is not. A grid is therefore searched, too.
+    # rounding may hide solutions. A false crossover is easy to detect, but a missing one is not. A grid is therefore searched,
+    # too.
     quadratic = not np.any(cut.D) and len(cut.A) <= MOST_QUADRATIC
     candidates = _of_the_pencil(_balance_loop(cut)) if quadratic else []
     beyond = [Crossover(math.inf, 0.0)] if cut.feedthrough_radius >= 1 else []
@@ -221,7 +224,7 @@ def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
     S, size = _kronecker_sum(A, A), len(A) ** 2
     eye, zero = np.eye(size), np.zeros((size, size))
     pencil = np.block([[zero, eye], [-np.kron(identity, M), -S]]), np.block([[eye, zero], [zero, np.kron(M, identity)]])
-    with np.errstate(divide="ignore", invalid="ignore"):  # eigenvalues are infinite, because M does not have full rank
+    with np.errstate(divide="ignore", invalid="ignore"):  # eigenvalues can be infinite, because M does not have full rank
         solutions = linalg.eigvals(*pencil)
     solutions = solutions[np.isfinite(solutions)]
 
@@ -244,9 +247,9 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
 
 
 def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover | None]:
-    """Returns crossovers between neighbouring phase lags of a fine grid for which the number of unstable poles differs."""
+    """Returns the crossovers that lie between neighbouring phase lags of a fine grid with different numbers of unstable poles."""
     angles = np.linspace(0, 2 * np.pi, count)
-    # The poles for the lag 2 pi - theta are the complex conjugates of those for theta.
+    # The poles for the lag 2 pi - theta are the complex conjugates of the poles for the lag theta.
     half = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angles[: count // 2 + 1])))
     poles = np.concatenate([half, half[-2::-1].conj()])
     unstable = np.sum(np.real(poles) > 0, axis=1)
@@ -266,7 +269,7 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
     """Returns the exact crossover near a phase lag and a pole; None if the pole only comes close to the axis."""
 
     def nearest(angle: float) -> complex:
-        if not abs(angle - theta) < 1:  # a nearly flat secant leads far away
+        if not abs(angle - theta) < 1:  # the secant is nearly flat and leads far away
             return complex(math.nan)
         poles = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
@@ -282,19 +285,20 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:
-    """Returns X (+) Y, whose eigenvalues are all sums of an eigenvalue of X and an eigenvalue of Y."""
+    """Returns the Kronecker sum of X and Y. Its eigenvalues are all sums of an eigenvalue of X and an eigenvalue of Y."""
     identity = np.eye(len(X))
     return np.kron(X, identity) + np.kron(identity, Y)
 
 
 def _sign_changes(growth: Callable[[float], float], tried: Array) -> list[float]:
-    """Returns the positive candidates at which the growth changes its sign, refined to 1e-13."""
+    """Returns the positive candidates at which the growth rate changes its sign, refined to a relative accuracy of 1e-13."""
     changes = []
     candidates = np.unique(tried[(tried > 1 / LARGEST_FACTOR) & (tried < LARGEST_FACTOR)])
-    # A pair of poles gives the same factor twice, up to rounding. Between the two, the growth is zero and its sign is
+    # A pair of poles gives the same factor twice, up to rounding. Between these two values, the growth is zero and its sign is
     # undefined.
     candidates = candidates[np.diff(candidates, append=np.inf) > SAME * candidates]
-    # The growth changes its sign only at candidates. In the middle between two of them, rounding does not affect the sign.
+    # The growth changes its sign only at candidates. Halfway between two neighbouring candidates, rounding does not affect the
+    # sign.
     middles = [float(np.sqrt(a * b)) for a, b in itertools.pairwise(candidates)]
     edges = [candidates[0] * 0.9, *middles, candidates[-1] * 1.1] if len(candidates) else []
     for low, high in itertools.pairwise(edges):

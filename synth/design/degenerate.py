@@ -1,12 +1,12 @@
-"""Regularised problems for plants whose problem (22) is degenerate, because it has no optimum or because every gain is optimal.
+"""Regularised problems for plants for which problem (22) is degenerate: it has no optimum, or every gain is optimal.
 
 - **w does not affect z**, or some gain decouples z from w. The norm is then 0, and eta = norm^-2 has no upper bound. In the
   regularised problem, additional disturbances act on every state that z contains.
 - **No control force affects z**. The norm is then the same for all gains. In the regularised problem, additional disturbances
-  act on every state, and z additionally contains every state and every force.
+    act on every state, and z also contains every state and every force.
 
-The gain is certified for the given plant. An X that proves a bound with more disturbances and outputs also proves this bound
-with fewer. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
+The gain is then certified for the given plant: an X that proves a bound with additional disturbances and outputs also proves it
+without them. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
 """
 
 from collections.abc import Sequence
@@ -27,9 +27,9 @@ INSTEAD = "designed for a disturbance of every state that z contains"
 
 
 def regularise_problem(plant: Plant) -> WellPosedProblem:
-    """Returns problem (22) of a plant; if it is degenerate, a regularised problem. The result does not depend on units."""
+    """Returns problem (22) of a plant or, if (22) is degenerate, a regularised problem. The result does not depend on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
-        return WellPosedProblem(plant)  # bad input, which the central path refuses
+        return WellPosedProblem(plant)  # invalid input, which the central path rejects
     scale, forces = own_units(plant).exact
     step, form = plant.dt or 0.0, plant.differences
     own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
@@ -60,7 +60,7 @@ def regularise_problem(plant: Plant) -> WellPosedProblem:
 
 
 def unpenalised_inputs(plant: Plant) -> list[str]:
-    """Returns a message if z does not penalise some control force, because (22) then has no optimum; otherwise an empty list."""
+    """Returns a message if some control force does not appear in z, because (22) then has no optimum; else an empty list."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
@@ -74,7 +74,7 @@ def unpenalised_inputs(plant: Plant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Returns a message about the slowest undamped mode that z does not observe, because (22) then has no optimum.
+    """Returns a message about the slowest undamped mode that is unobservable in z, because (22) then has no optimum.
 
     The list is empty if there is no such mode.
     """
@@ -91,13 +91,13 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
                 for pole, vector in zip(poles, vectors.T, strict=True)
                 if abs(pole.real) <= rounding
             ]
-        else:  # |1 + dt pole| = 1
+        else:  # here, |1 + dt pole| = 1
             still = [
                 (pole if abs(pole) > rounding else 0.0, vector)
                 for pole, vector in zip(poles, vectors.T, strict=True)
                 if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
             ]
-        if still:  # the slowest mode, because rounding decides the order of the modes
+        if still:  # the slowest mode is used, because rounding determines the order of the modes
             at, vector = min(still, key=lambda pair: abs(pair[0]))
             where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
             return [
@@ -109,13 +109,13 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 
 
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
-    """Checks that z contains every mode that does not decay. Otherwise the central path of (22) has no end.
+    """Checks that every mode that does not decay is observable in z. Otherwise, the central path of (22) has no end.
 
     Raises:
         InfeasibleError: no control force can stabilise the plant; the message describes the mode.
         DesignError: the plant can be stabilised, but the optimal loop is not stable.
     """
-    # otherwise, the path would be followed without reaching an optimum
+    # without this check, the path would be followed without reaching an optimum
     if modes := unobservable_marginal_modes(problem, states):
         if reached_by_none := "; ".join(stabilisability_failures(plant, states)):
             raise InfeasibleError(reached_by_none)
@@ -123,7 +123,7 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns the observable states as a basis (n, k), their plant, and the gain that hides the other states."""
+    """Returns a basis of the observable states, shape (n, k), their plant, and the gain that hides the other states from z."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -134,25 +134,25 @@ def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
 
 
 def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
-    """Returns True if inputs drive states outside a subspace.
+    """Returns True if inputs drive the state out of a subspace.
 
     Args:
         inputs: input matrix, shape (n, r).
         inside: orthonormal basis of the subspace.
-        what: component of the inputs outside the subspace, if it is known.
+        what: component of the inputs outside the subspace, if already computed.
     """
     outside = inputs - inside @ (inside.T @ inputs) if what is None else what
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
 
 
 def _with_disturbances(plant: Plant, where: Array) -> Plant:
-    """Returns the plant with additional disturbances, one for each column of `where`, that act on the states."""
+    """Returns the plant with an additional disturbance for each column of `where`; the column is its effect on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
 
 def _with_all_outputs(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
-    """Returns the plant with every state and every input as an additional output in z, each scaled by its internal unit.
+    """Returns the plant with every state and every input as an additional output in z, each divided by its internal unit.
 
     Args:
         own: the given plant in internal units.

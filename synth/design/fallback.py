@@ -1,10 +1,10 @@
-"""Static gains by descent on the norm: as a fallback if the two steps fail, and as a refinement of their result.
+"""Static gains by descent on the norm: as a fallback if the two-step method fails, and as a refinement of its result.
 
-The two steps can fail in several ways: a central path breaks off, the gain grows without limit, or a problem is too large.
-Problem (25) may also have no solution from any X tried. A stabilising gain may exist nevertheless, and the search in
-`static.py` does not need a central path. Proofs that no gain exists are checked and reported first: a mode that no force
-affects or no measurement shows, or poles that no gain moves. If filters or noise keep the two steps far above the lower bound,
-descent continues from their result.
+The two steps can fail in several ways: a central path ends early, the gain grows without limit, or a problem is too large.
+Problem (25) may also have no solution for any X that is tried. A stabilising gain may still exist, and the search in
+`static.py` does not need a central path. Reasons why no gain can exist are checked and reported first: a mode that no force
+affects or no measurement contains, or poles that no gain can change. If filters or noise keep the two steps far above the lower
+bound, descent continues from their result.
 """
 
 import contextlib
@@ -35,18 +35,19 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
-ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # where a lower norm came from
+ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # origin of a lower norm
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
-NEAR = 1e-3  # relative distance to the lower bound; the result of the two steps is not refined if it is closer
-LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative distances of the norm of a state feedback to the lower bound
-MOST_GROWTH = 2.0**100  # growth that counts if a gain grows from zero
-# limits on the entries of a gain, tried until the poles are slow enough for an actuator; as in `fixed_order.py`
+NEAR = 1e-3  # the result of the two steps is not refined if its relative distance to the lower bound is smaller
+# relative distances between the norm of a state feedback and the lower bound, tried in this order
+LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))
+MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from zero
+# limits on the entries of a gain, tried in this order until an actuator can follow the poles; as in `fixed_order.py`
 LIMITS = (np.inf, 100.0, 10.0, 3.0)
 
 
 def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by descent on the norm if the two steps find no gain, or no sufficient gain.
+    """Designs a static gain by descent on the norm if the two steps find no gain, or no good enough gain.
 
     Raises:
         DesignError: no gain with a valid certificate was found; the message gives the reason. Rounding may leave a certificate
@@ -62,7 +63,7 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
     from synth.design.static import design_by_descent
 
-    # If the two steps are worse than no control, it is enough to find a gain whose poles an actuator can follow.
+    # If the gain of the two steps is worse than no control, it is enough to find a gain whose poles an actuator can follow.
     limits = LIMITS if steps is not None and not np.any(plant.Dyw) and not plant.weights else LIMITS[:1]
     try:
         ends = design_by_descent(independent, start, *given, limits=limits, work=problem.work)
@@ -83,12 +84,12 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Lowers the norm by descent, as `refine` does, if the two steps end more than 0.1 % above the lower bound.
+    """Lowers the norm by descent, as `refine` does, if the result of the two steps is more than 0.1 % above the lower bound.
 
-    The gain may double for each 0.1 % by which the norm falls. If all states are measured without noise, a Riccati equation
-    gives another gain. The norm of this gain is as near the bound as `largest_gain` allows or, without `largest_gain`, as
-    actuators allow. If the result is still more than 1 % above the bound, descents also start from other gains. The gain with
-    the lower norm is returned, unless its poles are too fast for an actuator.
+    The gain may double for each 0.1 % by which the norm decreases. If all states are measured without noise, a Riccati equation
+    gives another gain. The norm of this gain is as close to the bound as `largest_gain` allows or, without `largest_gain`, as
+    the speed of actuators allows. If the result is still more than 1 % above the bound, descents also start from other gains.
+    The gain with the lower norm is returned, unless its poles are too fast for an actuator.
     """
     from synth.design.static import bounded_work
 
@@ -111,10 +112,10 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
-    """Returns a design with a lower norm, the growth of its gain, its start, and a remark; None if there is no such design.
+    """Returns a design with a lower norm or None, the growth of the gain, the starting gain of the descent, and a remark.
 
-    The descents start from the gain of the two steps and, if all states are measured, from that of a Riccati equation. Both
-    descents stay in one local minimum. If this minimum is far above the lower bound, further minima are searched.
+    The descents start from the gain of the two steps and, if all states are measured, from the gain of a Riccati equation. Each
+    descent ends in a local minimum. If this minimum is far above the lower bound, the search continues for other minima.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.growth import price
@@ -156,7 +157,7 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
 
 
 def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: float) -> tuple[list[Array], str]:
-    """Returns the gain of a Riccati equation closest to the lower bound that is slow enough, and why none is closer.
+    """Returns the gain of a Riccati equation with the lowest norm that is slow enough, and the reason why none is lower.
 
     If a largest gain is given, poles that are too fast for an actuator are accepted. The list of gains is empty unless all
     states are measured.

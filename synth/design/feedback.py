@@ -1,6 +1,6 @@
 """Design of a controller for any plant. The arguments are the keys of a controller's section in a vehicle file.
 
-The arguments are checked first, also against the table of compatible options in `models/laws/combinations.py`. The result is a
+The arguments are checked first; `models/laws/combinations.py` lists which of them can be combined. The result is a
 `DesignProblem`, for which `synth.design.methods` chooses the design method. Every method has its own file and can also be
 called directly.
 """
@@ -61,47 +61,48 @@ def design_feedback(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> FeedbackDesign:
-    """Designs a controller for any plant, with certificate, design method, and the reason for this method.
+    """Designs a controller for any plant. The result contains a certificate, the design method and the reason for this method.
 
-    The default is a static gain with the smallest H-infinity norm. The paper's two steps design it. Descent follows if the norm
-    of the two steps is more than 0.1 % above the lower bound, or if the two steps find no gain. The arguments are the keys of a
-    controller's section in a vehicle file, and the same combinations are allowed. The measurements of a plant are named y1, y2,
-    ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
+    By default, the design is a static gain with the smallest H-infinity norm, computed by the paper's two-step method. Descent
+    follows if the norm is then more than 0.1 % above the lower bound, or if the two steps find no gain. The arguments are the
+    keys of a controller's section in a vehicle file, and the same combinations are allowed. The measurements of a plant are
+    named y1, y2, ..., its forces u1, u2, ..., and the rows of z are named z1, z2, ...
 
     Args:
         plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
-        Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). By default, the measurements of the plant, or all states if
-            the plant has no measurements.
-        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+        Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). Default: the measurements of the plant, or all states if the
+            plant has no measurements.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
         order: "static" (default), "full" for a law with as many states as the plant, or a smaller number of states.
-        design: "lqr", "lqg" or "h2" for the smallest mean square of z instead of the smallest H-infinity norm.
+        design: "lqr", "lqg" or "h2" to minimise the mean square of z instead of the H-infinity norm.
         stable: True if the law itself must be stable; only for a law with an `order`.
         fastest_pole: largest magnitude of the closed-loop poles [rad/s], for order = "full" of a continuous plant; None for no
             limit.
-        noise: rms noise of each measurement, shape (q,). For the H-infinity norm, the noise counts as an additional disturbance
-            of size 1, multiplied by this rms. For LQG it is white noise, see `lqg_design`.
+        noise: rms noise of each measurement, shape (q,). For the H-infinity norm, the noise is this rms times an additional
+            disturbance. For LQG, it is white noise; see `lqg_design`.
         sample_period: sample period of the computer that closes the loop of a continuous plant and holds the forces [s].
-        delay: delay from a measurement to its force [sample periods].
+        delay: delay from a measurement to the force computed from it [sample periods].
         minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
         bounds: bounds on other quantities, for example [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
-        tolerance: largest relative gain errors of measurements and forces, for example {"y1": 0.1, "force": 0.05}.
-        family: further plants for the same gain. The largest norm of all plants counts. By default, these plants have the
-            measurements Cy.
-        structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. With a number of
-            states as `order`, each force has its own law with this number of states. The text "pi" or "pid" selects this type
-            of law from each measurement to its force.
+        tolerance: relative gain errors of measurements and forces that the design must tolerate, for example {"y1": 0.1,
+            "force": 0.05}.
+        family: additional plants with the same gain. The largest norm of all plants is minimised. A plant without its own
+            measurements has the measurements Cy.
+        structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. If `order` is a
+            number of states, each force has its own law with this number of states. The text "pi" or "pid" selects this type of
+            law from each measurement to its force.
         pid: time constant [s] of the low-pass of the derivative for "pid", for example {"filter": 0.01}.
-        largest_gain: bound on |K_ij| of a static gain with the smallest norm, in the units of the plant; 1e5 by default.
-        lower_bound: lower bound on the norm of every controller from these measurements, if known, for the certificate.
+        largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.
+        lower_bound: for the certificate: lower bound on the norm of every controller from these measurements, if known.
         states: names of the states, for messages.
 
     Returns:
-        The law (u = +K y for a gain), its certificate, and the attributes method, why and remark. With a sample period, the
-        result also has the sampled norm and its lower bound.
+        The law (u = +K y for a gain), its certificate, and the attributes method, why and remark. If a sample period is given,
+        the result also contains the sampled-data norm and its lower bound.
 
     Raises:
         InputError: a matrix does not fit the plant, the plant has no input, or two arguments exclude each other.
-        InfeasibleError: no such controller stabilises the plant; the message describes the mode.
+        InfeasibleError: no such controller stabilises the plant; the message describes the mode that cannot be stabilised.
         DesignError: no method found a controller; the message gives the reason.
 
     Example:
@@ -157,7 +158,7 @@ def design_feedback(
         return _for_goals(problem, plant, rms, goals, family)
     if design is not None:
         check_continuous(plant)
-    if design == "lqg":  # the white noise of LQG is not a part of w
+    if design == "lqg":  # the white noise of LQG is not part of w
         problem = replace(problem, plant=plant, noise=tuple(rms) if len(rms) else None)
     if design is None and problem.structure is None and order != FULL:
         return _static(problem)
@@ -176,7 +177,7 @@ def _parts(
     family: Sequence[Plant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
-    """Returns the requested parts of the table of compatible options, with the text of each as the user wrote it."""
+    """Returns the requested options that the table of compatible options contains, with each one as the user wrote it."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)
@@ -205,10 +206,10 @@ def _distance(certificate: Certificate) -> str:
 
 
 def _rms(plant: Plant, noise: Sequence[float]) -> Array:
-    """Returns the rms noise of each measurement, shape (q,); empty without noise.
+    """Returns the rms noise of each measurement, shape (q,); empty if there is no noise.
 
     Raises:
-        InputError: the noise does not have one value from 0 upwards for each measurement.
+        InputError: the noise does not have exactly one value >= 0 for each measurement.
     """
     rms = real_matrix([list(noise)], "noise", "(q,)")[0]
     if len(noise) and (rms.shape != (len(plant.Cy),) or not np.all(rms >= 0)):
@@ -235,7 +236,7 @@ def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
 
 
 def _static(problem: DesignProblem) -> DesignResult:
-    """Designs a static gain by the two steps, followed or replaced by descent."""
+    """Designs a static gain by the two-step method, followed or replaced by descent."""
     from synth.design.static import bounded_work
 
     result = designed(replace(problem, work=bounded_work(problem.plant)))

@@ -21,14 +21,14 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
-FAR = 0.01  # relative distance to the lower bound up to which the result of the two steps is sufficient if filters have states
+FAR = 0.01  # if filters have states, the result of the two steps is sufficient up to this relative distance from the lower bound
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
-# largest number of states for which a lower bound is computed automatically; it takes minutes for more states
+# largest number of states for which a lower bound is computed automatically; with more states, this takes minutes
 LARGEST_BOUNDED = 20
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the methods to try until one succeeds, and the methods that then continue from its result."""
+    """Returns the methods that are tried until one succeeds, and the methods that then continue from its result."""
     if problem.method:
         return (problem.method,), ()
     if problem.errors is not None:
@@ -50,11 +50,11 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
-    """Returns the reason for descent after the two steps, as text; empty if their result is sufficient or from another method.
+    """Returns the reason why descent follows the two steps, as text; empty if it need not follow.
 
-    The two steps ignore noise. The X of (22) feeds back every state. This includes the filter states, which y does not contain
-    and no control moves, and L (14) bases the gain on this X. With filters, descent therefore continues from the result of the
-    two steps. Descent also continues if the norm is larger than that without control.
+    The two steps ignore noise. The gain is based on the X of problem (22), whose state feedback uses every state, including
+    filter states that y does not contain and that no control changes. If there are filters, descent therefore continues from
+    the result of the two steps. Descent also continues if the norm is larger than the norm without control.
     """
     plant, certificate = problem.plant, steps.certificate
     norm = certificate.norm.value
@@ -78,10 +78,10 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
     """Designs a controller by the methods that `choose` selects for a problem.
 
     Args:
-        progress: function that receives the value reached so far, and True if all bounds are fulfilled.
+        progress: function that is called with the best value so far, and with True if all bounds are fulfilled.
 
     Raises:
-        InfeasibleError: no such controller stabilises the plant; the message describes the mode.
+        InfeasibleError: no such controller stabilises the plant; the message describes the mode that cannot be stabilised.
         DesignError: no method found a controller; the message gives the reason.
     """
     tries, further = (tuple(name for name in names if name in METHODS) for names in choose(problem))
@@ -109,10 +109,10 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
 
 
 def _possible(problem: DesignProblem) -> DesignProblem:
-    """Returns the problem of a static gain with its lower bound, which is computed unless the plant has too many states.
+    """Returns the problem of a static gain with a lower bound, which is computed unless the plant has too many states.
 
     Raises:
-        InfeasibleError: no static gain stabilises the plant; the message describes the mode.
+        InfeasibleError: no static gain stabilises the plant; the message describes the mode that cannot be stabilised.
     """
     from synth.design.two_step import check_stabilisable
 

@@ -1,4 +1,4 @@
-"""The former name of a design of one gain for several plants. Use `design_feedback` with `family` instead."""
+"""Former function for the design of one gain for several plants. Use `design_feedback` with `family` instead."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ def slack_design(
 
     Args:
         plants: plants with the same numbers of states, inputs, disturbances and outputs.
-        Cys: measurement matrix of each plant, shape (q, n) each.
-        structure: mask of ones and zeros, shape (m, q). By default, no entry of the gain is fixed to zero.
+        Cys: measurement matrix of each plant, each of shape (q, n).
+        structure: mask of the gain, shape (m, q), with zeros for entries that are fixed to zero. Default: no entry is fixed.
         f: ignored; kept for compatibility.
 
     Returns:
-        The design of `design_feedback`.
+        Result of `design_feedback`.
 
     Raises:
-        InputError: the plants do not fit one another, or a C_y or the structure does not fit the plants.
+        InputError: the plants differ in size, or a C_y or the structure does not fit the plants.
         DesignError: no gain was found that stabilises all plants.
 
     Example:

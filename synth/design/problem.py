@@ -1,6 +1,6 @@
 """The design problem of any plant, and its result.
 
-Every method of `synth.design.methods` takes the first and returns the second.
+Every method of `synth.design.methods` receives a `DesignProblem` and returns a `DesignResult`.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,16 +32,17 @@ if TYPE_CHECKING:
     from synth.lmi.central_path import CentralPoint
 
 
-SEEN = 1e-6  # relative: visible in a table with seven digits
-LARGEST_GAIN = 1e5  # bound on |K_ij| if a search has no other bound
-NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"  # criteria
+SEEN = 1e-6  # relative difference that is visible in a table with seven digits
+LARGEST_GAIN = 1e5  # largest |K_ij| if a search has no other limit
+# criteria by which designs are compared
+NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"
 TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the methods
 FEW = 4  # a law with more states is shown without its matrices
 Progress = Callable[[float, bool], None]
 
 
 def as_designed(law: LinearLaw) -> LinearLaw:
-    """Returns the law unchanged, because it runs as it is designed."""
+    """Returns the law unchanged: it is executed as it was designed."""
     return law
 
 
@@ -54,11 +55,11 @@ class WellPosedProblem:
     """Problem (22) of a plant, regularised if it is degenerate.
 
     Attributes:
-        plant: plant to design for. This is the given plant unless its problem is degenerate.
-        case: text about the degeneracy of the given problem; empty if it is not degenerate.
+        plant: plant for which the design is made: the given plant, unless its problem is degenerate.
+        case: text about the degeneracy of the given problem; empty if the problem is not degenerate.
         best: an optimal state gain, shape (m, n), if one is known.
         best_case: text about the degeneracy that makes `best` optimal.
-        regular: True if w acts on a state, and z contains every state, both without control and under the gain -D^+ C. No mode
+        regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. No mode
             can then be hidden from z. If a force has no weight, (22) may still have no optimum.
     """
 
@@ -75,40 +76,42 @@ class WellPosedProblem:
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """Design problem of a controller. The plant contains the measurements; their noise is a part of w.
+    """Design problem of a controller. The plant contains the measurements; measurement noise is part of w.
 
     Attributes:
-        plant: n states, m inputs, q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for as many states as the plant. If a `structure` is given, its order applies.
+        plant: plant with n states, m inputs and q measurements y = C_y x + Dyw w.
+        order: "static" for a gain, or "full" for a law with as many states as the plant. If a `structure` is given, its order
+            applies instead.
         structure: structure of a law with fewer states than the plant; None if there is no such structure.
-        design: name in `DESIGNS`, such as "h2" for the least mean square of z. An empty name selects the smallest H-infinity
-            norm.
-        method: name in `METHODS` of the only method to use. If it is empty, `choose` selects the methods.
+        design: name in `DESIGNS`, such as "h2" to minimise the mean square of z. If the name is empty, the H-infinity norm is
+            minimised.
+        method: name in `METHODS` of the only method to use. If the name is empty, `choose` selects the methods.
         stable: True if the law itself must be stable.
         fastest_pole: largest magnitude of the loop's poles [rad/s]; None if there is no limit.
-        largest_gain: bound on |K_ij| of a static gain.
-        noise: rms of the white noise of each measurement for "lqg", shape (q,); None without noise.
+        largest_gain: largest allowed |K_ij| of a static gain.
+        noise: for "lqg", rms of the white noise of each measurement, shape (q,); None if there is no noise.
         preview: time by which w is known in advance [s].
-        sampled: sampled-data loop to design for, without noise on the plant's w; None for the ideal continuous loop.
+        sampled: sampled-data problem, in which w does not contain the measurement noise; None to design for the ideal
+            continuous loop.
         sampled_bound: lower bound on the norm of the sampled-data loop, if it is known.
-        known: laws from which a search starts. For a static gain of the sampled-data loop, these are gains of the ideal loop.
+        known: laws from which a search starts. For a static gain of the sampled-data loop, these are gains designed for the
+            ideal loop.
         near: estimate of the norm of the sampled-data loop.
-        goals: goals of a static gain; None if only the norm counts.
-        errors: plant with frequency-weighted uncertainties, for a law with the best robust performance; None without
-            uncertainties.
-        alternatives: True to find the lower bound of a static gain, and to continue after two steps that end above it. Another
-            method is then also used if Riccati equations fail. For a vehicle file, this is False, so that the two steps remain
-            unchanged.
+        goals: goals of a static gain; None if only the norm is minimised.
+        errors: for a design of robust performance, plant with frequency-weighted uncertainties; None if there are none.
+        alternatives: True to compute a lower bound for a static gain, to continue if the two steps end above this bound, and to
+            use another method if Riccati equations fail. For a vehicle file, this is False, so that the result of the two steps
+            is not changed.
         thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
             plants.
         lower_bound: lower bound on the norm of every controller from these measurements, if known.
         states: names of the states, for messages.
         path: function that returns the central path of (22) if it is known, or raises a DesignError.
-        as_run: function that converts a designed law to the law that runs, for example for a law that subtracts forces from its
-            measurements.
-        certify: function that returns the certificate of the law that runs. By default, this is the certificate of its loop
-            with the plant.
-        work: counter of the norms that the searches evaluate; each search has its own counter by default.
+        as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
+            from its measurements.
+        certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
+            its loop with the plant.
+        work: counter of the work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error of the previous method, if it found no controller.
     """
@@ -141,11 +144,11 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns the problem with the result from which the next method continues."""
+        """Returns the same problem, with the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:
-        """Returns the certificate of the ideal loop with a law.
+        """Returns the certificate of a law for the ideal loop.
 
         Raises:
             ValueError, LinAlgError: a discrete law has no counterpart in continuous time.
@@ -163,34 +166,37 @@ class DesignResult(ShownResult):
 
     Attributes:
         law: law from the q measurements to the m forces, with matrices A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, without
-            a minus sign. A static law is u = K y. With a sample period, x_c' is replaced by the next x_c.
-        certificate: certificate of the closed loop, in continuous time or for a discrete plant. Noise is a part of w.
+            a minus sign. A static law is u = K y. If the law has a sample period, x_c' is replaced by x_c at the next sample.
+        certificate: certificate of the closed loop, in continuous time or for a discrete plant; measurement noise is part of w.
         method: name of the design method.
         why: reason for this method, as text.
         remarks: texts about the distance from the optimum, assumptions and unused measurements.
-        value: value of the minimised objective; by default the norm in the certificate.
+        value: value of the minimised objective. Default: the norm in the certificate.
         criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
-            without a sample period, or if no bound is proved.
-        level: upper bound on the sampled norm from the LMI of the two steps for the sampled-data loop; None for other designs.
-        redundant: indices of the measurements that depend linearly on others. The gain of these measurements is zero.
-        case: text about the degeneracy of (22) (no optimum, or every gain optimal); empty if it is not degenerate.
-        instead: text with the fallback method and the reason why the two steps found no gain; empty if they found one.
-        state_step_gap: relative distance in gamma between the optimum of (22) and the point that gave X for L (14). The
-            distance is 0 at the limit of the central path, and larger if the second problem has no solution from there.
+            if there is no sample period, or if no bound is proved.
+        level: for the two-step method in the sampled-data loop, upper bound on the sampled norm from its LMI; None for other
+            designs.
+        redundant: indices of the measurements that are linear combinations of others. The gain on these measurements is zero.
+        case: text about the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not degenerate.
+        instead: text with the fallback method and the reason why the two steps found no gain; empty if they found a gain.
+        state_step_gap: relative distance in gamma between the optimum of (22) and the point of the central path whose X gives L
+            (14). The distance is 0 at the limit of the path. It is larger if the second problem has no solution for the X at
+            the limit.
         optimum_gap: relative distance in gamma between the gain and the optimum of its own problem. The distance is 0 at the
-            limit of the central path, and larger if only gains that are too fast for an actuator reach the optimum.
-        moved: last change of the gain along its central path, relative to its largest entry. This is about a hundred times the
-            distance to the limit of the path. The change is at most 4e-5 for the built-in cars, and for the two steps of a
-            chain of 40 states. For chains of 26 and 40 states, however, the state feedback still grows a hundredfold if mu
-            falls by a factor of a hundred. The norm of such a gain is proved, but none of its digits agrees with the optimum.
-        origin: text about the start of the search that led to the law; empty without a search.
-        two_steps: result of the two steps, if the search of a static gain also started from it; otherwise None.
+            limit of the central path. It is larger if gains near the optimum have poles that are too fast for an actuator.
+        moved: last change of the gain along its central path, relative to the largest entry of the gain. This change is about a
+            hundred times the distance to the limit of the path. It is at most 4e-5 for the built-in cars, and for the two steps
+            of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a hundredfold
+            if the path parameter mu decreases by a factor of a hundred. The norm of such a gain is proved, but no digit of the
+            gain agrees with the optimal gain.
+        origin: text about the starting point from which the search found the law; empty if there was no search.
+        two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.
         starts: number of the other stable starts of this search.
-        preview: force from the road ahead, which adds to the force of the law; None without preview.
-        without: value of the objective without preview.
+        preview: force from the road ahead, which adds to the force of the law; None if there is no preview.
+        without: value that the objective would have without preview.
         trade: Pareto front of the norm and the speed of full-order laws, the slowest first. The front is empty if the law is
-            near the lower bound and not fast. For a discrete plant, the laws belong to its continuous image.
+            close to the lower bound and not fast. For a discrete plant, the laws belong to its continuous counterpart.
         details: additional result of the method: a `MultiObjectiveDesign` for a design with goals, otherwise None.
     """
 
@@ -228,17 +234,20 @@ class DesignResult(ShownResult):
 
     @property
     def stable(self) -> bool:
-        """True if the law itself is stable. An unstable law grows when its loop is open, for example when a force saturates."""
+        """True if the law itself is stable.
+
+        The states of an unstable law grow when the loop is open, for example when a force saturates.
+        """
         return is_stable(self.law.A, self.law.sample_period)
 
     @property
     def sampled_norm(self) -> float | None:
-        """L2 gain of the sampled-data loop, see `synth.sampled_norm`; None without a sample period."""
+        """L2 gain of the sampled-data loop, see `synth.sampled_norm`; None if there is no sample period."""
         return self.value if self.criterion == SAMPLED_NORM else None
 
     @property
     def h2_norm(self) -> float:
-        """Rms of z under white noise w and the noise of LQG, without Dw; NaN for a law with another criterion."""
+        """Rms of z for white noise w and the noise of LQG, without the effect of Dw; NaN for a law with another criterion."""
         return self.value if self.criterion == H2_NORM else np.nan
 
     @property

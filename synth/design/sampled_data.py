@@ -2,28 +2,29 @@
 
 For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). The states
 of this plant include the delayed forces, and the disturbances include the measurement noise. A law for this plant therefore
-takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method
-designs a law at one level. The exact norm of the law's sampled-data loop (`synth/analysis/sampled_norm.py`) is the next level.
+takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level: a method
+designs a law at one level, and the exact norm of the sampled-data loop with this law (`synth/analysis/sampled_norm.py`) becomes
+the next level.
 
-- Full order: Riccati equations. The first level is the lowest one at which these equations have a solution, which is found by
-  bisection.
+- Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
 - A given order or structure: descent. Descent starts at a level near the lower bound, and continues from the law of the last
   level.
-- A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of its
-  discrete plant is 1, by the secant method over logarithms. The X of the state feedback (22) at its level gives L (14). The
-  second step (25) has another level. Every optimum is the limit of a central path. The gain is therefore unique, and depends
-  neither on a solver nor on units.
+- A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of the
+    discrete plant is 1, by the secant method in logarithms. The X of the state feedback (22) at the level of the first step
+    gives L (14). The second step (25) has its own level. Every optimum is the limit of a central path. The gain is therefore
+    unique, and depends neither on a solver nor on units.
 
-The delayed forces are states that no measurement contains. If L makes them follow the optimal state feedback, the second step
-may have no solution. The second step may nevertheless have a solution if L makes them follow another gain that is equally good.
-Descent on the exact norm then starts from the results and from the continuous design, and the lowest norm wins. The gain of the
-two steps stays if descent hardly lowers its norm. If the two steps find no gain, or if no control is better, descent starts
-from all known gains, and a remark gives the reason. The two steps ignore noise of the measurements; descent includes it.
+The delayed forces are states that no measurement contains. L determines how the delayed forces are estimated. If L is based on
+the optimal state feedback, the second step may have no solution; a solution may still exist if L is based on another gain that
+is equally good. Descent on the exact norm then starts from the results and from the continuous design, and the result with the
+lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the two steps find no gain, or if
+the vehicle without control has a lower norm, descent starts from all known gains, and a remark gives the reason. The two steps
+ignore measurement noise; descent takes it into account.
 
 The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
-period. A good gain for a short period may be unstable for a long one. Descent therefore starts at the minima of the norm along
-the line through zero and the known gains, on both sides of zero. If it ends more than 1 % above a lower bound, or finds
-nothing, the search for static gains (`static.py`) continues for the discrete plant of one level.
+period. A gain that is good for a short period may make the loop unstable for a long period. Descent therefore starts at the
+minima of the norm along the line through zero and a known gain, on both sides of zero. If descent ends more than 1 % above a
+lower bound, or finds no gain, the search for static gains (`static.py`) continues for the discrete plant of one level.
 """
 
 import contextlib
@@ -60,40 +61,46 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import own_units
 
 DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
-WITHIN = 1e-3  # relative distance to the lower bound at which the search ends
-# relative; the search ends if a level lowers the norm by less, because the remaining distance is about the square of this
+WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller
+# the search ends if a level lowers the norm by less than this relative amount, because the remaining distance is about the
+# square of the last decrease
 WORTH = 1e-4
-# largest number of levels: by default, for laws that must be stable themselves (one descent per level), and for `down`
+# largest number of levels: by default, for laws that must themselves be stable (one descent per level), and for `down`
 LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8
-# first level of a descent, as a multiple of the lower bound: the norm of its plant exceeds one, so its gradient is useful
+# first level of a descent, as a multiple of the lower bound. The norm of the plant of this level exceeds one, so its gradient
+# is useful
 NEAR = 1.1
-HIGHER = {False: 1.01, True: 1.1}  # factor to the next level if there is no law, by whether the law itself must be stable
-LOWEST, BRACKETED = 40, 1e-4  # largest number of bisections for the lowest level with a solution, and their relative accuracy
-COSTS = (1e-3, 1e-5)  # shares of measurement noise and control cost in the plants of this bisection
-ABOVE = 1e-4  # relative distance of the first level to a lower bound that holds within one period
+# factor to the next level if no law is found; the larger factor is used if the law itself must be stable
+HIGHER = {False: 1.01, True: 1.1}
+# largest number of bisections for the lowest level with a solution, and relative accuracy of this level
+LOWEST, BRACKETED = 40, 1e-4
+COSTS = (1e-3, 1e-5)  # shares of measurement noise and control cost that are added to the plants in this bisection
+ABOVE = 1e-4  # relative distance of the first level above a lower bound that holds within one period
 
-WORTHWHILE_GAIN = 5e-5  # relative; the gain of the two steps stays if descent lowers the norm by less
-# factors for a known gain, with either sign; a gain smaller than a thousandth of it counts as zero
+WORTHWHILE_GAIN = 5e-5  # the gain of the two steps is kept if descent lowers the norm by less than this relative amount
+# factors that multiply a known gain, with both signs; a gain of less than a thousandth of the known gain counts as zero
 SHARES = 2.0 ** -np.arange(11)
-STARTS = 3  # number of the best points on the line from which descent starts
-WORTH_ANOTHER = 1e-3  # relative; the gain of another local minimum is used if it lowers the norm by more
-LITTLE = 1e-2  # relative; a norm this close to a lower bound is not lowered further
-LARGEST_BOUNDED = 20  # largest number of states for a lower bound and a further search, which take minutes for more states
-FURTHEST = 5  # number of powers of FAR, times an estimate of the norm, that are tried as the highest level
-MOST_STATES = 100  # largest number of states of a level's plant, for which a descent takes ten seconds
-CLOSE = 1e-9  # relative; a norm this close to 1 counts as 1
-GROW = 1.05  # factor to the next level if there is no solution; the factor is squared each time
-FAR = 1e3  # ratio of the highest level that is tried to the level from which the search starts
-ROUNDS = 60  # largest number of rounds; about five are necessary
-MOST = 260  # unknowns of (22) for a level (21 states with one input); a dozen or two of these problems take half a minute
-ROUNDING = 1e-7  # relative; the norm of a gain may exceed the level of its central path by this much
+STARTS = 3  # number of the best points on the line from which descents start
+WORTH_ANOTHER = 1e-3  # the gain of another local minimum is used if it lowers the norm by more than this relative amount
+LITTLE = 1e-2  # a norm within this relative distance of a lower bound is not lowered further
+# largest number of states for which a lower bound and another search are computed; with more states, they take minutes
+LARGEST_BOUNDED = 20
+FURTHEST = 5  # number of powers of FAR that are tried as the highest level, relative to an estimate of the norm
+MOST_STATES = 100  # largest number of states of the discrete plant for a descent, which then takes ten seconds
+CLOSE = 1e-9  # a norm within this relative distance of 1 counts as 1
+GROW = 1.05  # factor to the next level if the level has no solution; the factor is squared each time
+FAR = 1e3  # ratio between the highest level that is tried and the level at which the search starts
+ROUNDS = 60  # largest number of rounds; about five are usually needed
+# largest number of unknowns of (22) for a level (21 states, one input); a dozen or two of such problems take half a minute
+MOST = 260
+ROUNDING = 1e-7  # relative amount by which the norm of a gain may exceed the level of its central path
 
 
 LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
 
 
 class SampledLaw(NamedTuple):
-    """A law, the exact norm of its sampled-data loop, and remarks."""
+    """Law, exact norm of the sampled-data loop with this law, and remarks."""
 
     law: LinearLaw
     norm: float
@@ -101,7 +108,7 @@ class SampledLaw(NamedTuple):
 
 
 def norm_of(held: SampledDataProblem, K: Array, near: float) -> float:
-    """Returns the exact norm of the sampled-data loop of a gain or of a law [D, C; B, A]; infinite if the loop is not stable."""
+    """Returns the exact norm of the sampled-data loop with a gain or a law [D, C; B, A]; infinite if the loop is not stable."""
     return sampled_norm(held.loop(K), near).value
 
 
@@ -115,16 +122,20 @@ def by_levels(
     higher: float = NEAR,
     work: Work | None = None,
 ) -> tuple[SampledLaw, bool]:
-    """Designs a law at one level after another. Returns the law with the lowest sampled norm; also True if `ended` stopped it.
+    """Designs a law at one level after another.
+
+    Returns the law with the lowest sampled norm, and True if `ended` ended the search.
 
     Args:
-        level: the first level. Each further level is the norm that the law of the previous level reaches.
-        method: function that designs a law for the plant of a level, from the best law so far; returns the law and remarks.
-        ended: function of the norm, its level, and the lowest norm before; returns True if a further level gains nothing.
-        best: a known law, if any.
+        level: first level. Each later level is the norm that the law of the previous level reaches.
+        method: function that designs a law for the plant of a level, starting from the best law so far. It returns the law and
+            remarks.
+        ended: function of a norm, its level, and the lowest earlier norm. It returns True if another level would bring no
+            improvement.
+        best: a law that is already known, if any.
         levels: largest number of levels.
-        higher: factor to the next level if no law was found.
-        work: counter of the norms; no level begins after its limit is exceeded.
+        higher: factor from one level to the next if no law was found.
+        work: counter of the work for norms; no new level begins after its limit is exceeded.
 
     Raises:
         InfeasibleError: no law stabilises the plant.
@@ -156,7 +167,7 @@ def by_levels(
 
 
 def _falls_no_more(norm: float, level: float, before: float) -> bool:
-    """Returns True if a norm is hardly lower than the lowest norm before."""
+    """Returns True if a norm is hardly lower than the lowest earlier norm."""
     return norm > before * (1 - WORTH)
 
 
@@ -176,7 +187,7 @@ def design_sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _bound(problem: DesignProblem, near: float) -> SampledBound | None:
-    """Returns the lower bound on the norm of the sampled-data loop of a problem; None if no bound is proved."""
+    """Returns the lower bound on the sampled-data norm for a problem; None if no bound is proved."""
     if not problem.thorough:
         return problem.sampled_bound
     from synth.lmi.sampled_bound import find_sampled_bound
@@ -221,7 +232,7 @@ def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Pl
 
 
 def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
-    """Returns a full-order law within 0.1 % of the lower bound; otherwise the closest law found, with a remark."""
+    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the closest law found."""
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
@@ -255,17 +266,17 @@ def _design_structured(
 
 
 def _above(found: SampledLaw, goal: float) -> str:
-    """Returns the distance of a law's norm from the lower bound, as text."""
+    """Returns a text about the distance of a law's norm from the lower bound."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
 
 def _as_run(law: LinearLaw, image: tuple[Plant, Array], period: float) -> LinearLaw:
-    """Converts a law for the mapped continuous plant to a discrete law. A discrete law is returned unchanged."""
+    """Converts a law for the continuous counterpart of a plant to a discrete law. A discrete law is returned unchanged."""
     return discrete_law(law, *image, period) if law.sample_period is None else law
 
 
 def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[float, float]:
-    """Returns a level that is too low for a law, and the next higher level, at which there is a law."""
+    """Returns a level at which no law exists, and a slightly higher level at which a law exists."""
     low, high, level = below, np.inf, start
     for _ in range(LOWEST):
         if _solvable(held.at(level)):
@@ -279,7 +290,7 @@ def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[
 
 
 def _solvable(plant: Plant | None) -> bool:
-    """Returns True if the Riccati equations have a law for a level's plant with a norm below one."""
+    """Returns True if Riccati equations give a law for which the norm of a level's discrete plant is below one."""
     if plant is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             search = RiccatiSearch(continuous_image(plant)[0], 0.0)
@@ -288,11 +299,12 @@ def _solvable(plant: Plant | None) -> bool:
 
 
 def _static(problem: DesignProblem) -> DesignResult:
-    """Designs a static gain by the two steps (the first step alone if all states are measured), followed by descent.
+    """Designs a static gain by the two steps, or by the first step alone if all states are measured, followed by descent.
 
     Raises:
-        InfeasibleError: no static gain from the measurements stabilises the loop; the message describes the mode.
-        TooLargeError: the delay stores too many forces.
+        InfeasibleError: no static gain from the measurements stabilises the loop; the message describes the mode that cannot be
+            stabilised.
+        TooLargeError: the delay is so long that too many forces must be stored.
         DesignError: no gain was found; the message lists what was tried.
     """
     held = problem.sampled
@@ -329,7 +341,7 @@ def _static(problem: DesignProblem) -> DesignResult:
     return _result(problem, found, bound, method=method, why=why, remarks=remarks, **more)
 
 
-End = tuple[Array, float]  # gain, shape (m, q), and the norm of its sampled-data loop
+End = tuple[Array, float]  # gain, shape (m, q), and norm of the sampled-data loop with this gain
 
 
 def lowest(ends: Sequence[End]) -> End:
@@ -338,7 +350,7 @@ def lowest(ends: Sequence[End]) -> End:
 
 
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
-    """Descends from a stabilising K on the plants of decreasing levels, as `refine` does, within the limit on the work."""
+    """Descends from a stabilising K, as `refine` does, on the plants of decreasing levels, until the limit of the work."""
 
     def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
         return static_law(lower_norm(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
@@ -348,12 +360,12 @@ def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = No
 
 
 def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> End:
-    """Returns the best gain that descent finds, and its norm; the norm is infinite if no start is stable.
+    """Returns the best gain that descent finds, and its norm; the norm is infinite if no starting point is stable.
 
     Args:
-        known: gains to start from, shapes (m, q). The line through zero and the first gain is searched.
+        known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
         near: estimate of the norm.
-        work: counter of the norms that the search evaluates.
+        work: counter of the work of the search.
     """
     nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
     line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
@@ -367,15 +379,15 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
 
 
 def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
-    """Searches further for a gain in the plant of one level.
+    """Continues the search for a better gain, for the discrete plant of one level.
 
-    Returns it if its norm is at least 0.1 % lower, else the given gain.
+    Returns the new gain if its norm is at least 0.1 % lower, otherwise the given gain.
 
      Args:
-        end: the given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
-        far: a level far above the norm for which there is a plant. The norm of this plant is nearly proportional to that of the
-            loop.
-        work: counter of the norms that the search evaluates.
+        end: given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
+        far: a level far above the norm, for which a discrete plant exists. The norm of this plant is nearly proportional to the
+            norm of the sampled-data loop.
+        work: counter of the work of the search.
     """
     K, norm = end
     plant, level = held.at(norm) if np.isfinite(norm) else None, norm
@@ -398,12 +410,13 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     """Lowers the exact norm by descent from a stabilising gain, as far as a larger gain is worthwhile.
 
     Args:
-        held: the sampled-data problem.
+        held: sampled-data problem.
         K: gain on all measurements, shape (m, q).
         near: estimate of the norm.
 
     Raises:
-        DesignError: the loop of K is not stable, or its norm arises within one period, where no force can react.
+        DesignError: the loop with K is not stable, or the norm is determined by the motion within one period, in which no force
+            can react.
     """
     before = norm_of(held, K, near)
     plant = held.at(before) if np.isfinite(before) else None
@@ -424,11 +437,11 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
 def _gain(
     held: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
 ) -> tuple[Array, float, float | None, str]:
-    """Returns K for independent measurements, its norm, its level, and the reason if the two steps were not used.
+    """Returns K for independent measurements, its norm, its level, and the reason if the result is not from the two steps.
 
     Args:
-        far: a level far above the norm for which there is a plant.
-        work: counter of the norms that the search evaluates.
+        far: a level far above the norm, for which a discrete plant exists.
+        work: counter of the work of the search.
     """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(held, rms=None)
@@ -470,18 +483,18 @@ def _gain(
         tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
         raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
     why += f"; {work.text}" if work.over else ""
-    # The ninth digit of a norm depends on the estimate from which it is computed; the result uses the estimate `near`.
+    # The ninth digit of a norm depends on the estimate with which its computation starts. The final norm is computed from `near`.
     return moved, norm_of(held, moved, near), None, why
 
 
 def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if a norm is close to the lower bound that no control force can change."""
+    """Returns True if a norm is close to the part of the gain that no control force can change."""
     plant = held.at(norm * (1 - WORTHWHILE_GAIN))
     return plant is None or bound_beyond_control(plant).gamma >= 1
 
 
 def _may_fall(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if the norm may be lowered: no lower bound within 1 % is known, and the loop has few states."""
+    """Returns True if a lower norm is worth searching for: no lower bound within 1 % is known, and the loop has few states."""
     if len(held.rows[0]) > LARGEST_BOUNDED:
         return False
     plant = held.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
@@ -493,13 +506,13 @@ def _may_fall(held: SampledDataProblem, norm: float) -> bool:
 
 
 def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
-    """Designs K by the two steps, which ignore noise. Returns K and its level.
+    """Designs K by the two steps, which ignore measurement noise. Returns K and its level.
 
     Args:
         held: sampled-data problem without noise, with independent measurements.
-        near: a level to start from.
-        undelayed: gain of a design without delay, shape (m, q). If it is given, a second L (14) is tried, with which the
-            delayed forces follow this gain.
+        near: level at which the search starts.
+        undelayed: gain of a design without delay, shape (m, q). If this gain is given, a second L (14) is tried, which assumes
+            that the delayed forces were computed by this gain.
 
     Raises:
         DesignError: one of the steps has no solution, or a central path could not be followed.
@@ -535,12 +548,12 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
 
 
 def _follows(X: Array, rows: Array) -> Array:
-    """Returns R (9) with the L (14) of a given X, shape (n, q). R y estimates the states from the measurements."""
+    """Returns R (9) for the L (14) of a given X, shape (n, q). R y is an estimate of the states from the measurements."""
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
 def _second(plant: Plant, R: Array) -> CentralPoint:
-    """Solves the second step (25) with a given R that fulfils C_y R = I."""
+    """Solves the second step (25) for a given R that fulfils C_y R = I."""
     units = own_units(plant, measured=True)
     basis, measured = units.rows(plant.Cy)
     own = units.into(plant).measured(basis)
@@ -552,10 +565,10 @@ def _second(plant: Plant, R: Array) -> CentralPoint:
 def _level(
     problem: SampledDataProblem, path: Callable[[Plant], list[CentralPoint]], start: float
 ) -> tuple[float, list[CentralPoint]]:
-    """Returns the level at which the central path of its plant ends at a norm of 1, and this path.
+    """Returns the level for which the central path of the discrete plant ends at a norm of 1, and this path.
 
-    If the path ends below 1 at every level above the norm that arises within one period, this norm is the level. If a problem
-    has no solution at a level far above, it has none at lower levels.
+    If the path ends below 1 at every level above the largest gain within one period, this gain is the level. If a problem has
+    no solution at a level far above the norm, it has none at lower levels.
     """
     below, above, level, grow = 0.0, math.inf, start, GROW
     seen = list[tuple[float, float]]()
@@ -577,7 +590,7 @@ def _level(
                     path(loosest)
                 except (NoSolutionError, InfeasibleError):
                     raise
-                except DesignError:  # a rounding error, which proves nothing about the levels below
+                except DesignError:  # the cause is a rounding error, which proves nothing about lower levels
                     pass
             below = max(below, level)
             if level > FAR * start:
@@ -593,7 +606,7 @@ def _level(
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
             guesses = (_crossing_level(seen[-count:]) for count in (3, 2, 1))
-            # If the level is bounded from one side only, the last guess, from one pair, lies beyond this bound.
+            # If only one bound on the level is known, the last guess, which is based on one pair, lies beyond this bound.
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
@@ -603,9 +616,9 @@ def _level(
 
 
 def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
-    """Returns the level at which the norm is 1, by a polynomial of log level over log norm; NaN if there is no slope.
+    """Returns the level at which the norm is 1, from a polynomial for log level in terms of log norm; NaN without a slope.
 
-    For a single pair, the norm is assumed to be inversely proportional to the level.
+    If only one pair is known, the norm is assumed to be inversely proportional to the level.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

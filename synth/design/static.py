@@ -1,17 +1,19 @@
 """Static output-feedback design by multi-start descent on the H-infinity norm.
 
-The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. The search
-cannot guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
+The search returns the best gain that it finds within a fixed amount of work. No entry of the gain exceeds `largest_gain`. The
+search cannot guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local
+minimum:
 
 - Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
-  two steps. If few random gains are stable, stabilising gains are added. All of these descend for a few rounds. The best ones
-  descend for more rounds, and the best one of all descends until it converges. The descent (`descent/minimax.py`) handles the
-  edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that all directions have a similar effect.
-- Further descents that start near the best gain.
+  two steps. If few random gains are stable, stabilising gains are added. From all these gains, the search descends for a few
+  rounds. It continues from the best results for more rounds, and from the best result of all until it converges. The descent
+  (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that all
+  directions have a similar effect.
+- Additional descents that start near the best gain.
 
-A result is never replaced by a worse one. The norm is therefore at most that of the refined two steps, and at most that without
-control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All random gains have
-fixed seeds, so the same plant always gives the same gain.
+A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain,
+nor the norm without control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All
+random gains have fixed seeds, so the same plant always gives the same gain.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,35 +37,36 @@ from synth.plant.generalized import Plant, check_inputs
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
-# decades of gain magnitude with a stable random gain; from this number on, a few stabilising starts are enough
+# if stable random gains exist in at least this number of decades of gain magnitude, a few stabilising starts are enough
 ENOUGH_SAMPLES = 4
-# number of stabilising starts: if random gains suffice, if they do not, and if no start is stable yet
+# number of stabilising starts: if random gains suffice, if they do not suffice, and if no start is stable yet
 FEW, MANY, MOST = 2, 6, 18
-LARGE = 30  # number of states above which stabilising starts, which take minutes, are used only if no other start is stable
-ALL = 100  # an upper limit on the number of starts that is never reached
+LARGE = 30  # for plants with more states, stabilising starts, which take minutes, are used only if no other start is stable
+ALL = 100  # upper limit on the number of starts; it is never reached
 # Each row: rounds of descent, number of the best starts that descend, and the multiple of `rival` above which the search ends.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
-LAST_ROUNDS = 1200  # rounds of the last descent; fewer for a large plant, whose rounds take longer
-AGAINST = 3  # number of starts if a rival norm is given
-# number of starts of a plant with `LARGE` states; a larger plant gets fewer, so that the total work is the same
+LAST_ROUNDS = 1200  # largest number of rounds of the last descent; reduced for a large plant, whose rounds take longer
+AGAINST = 3  # number of starts if `rival` is given
+# number of starts for a plant with `LARGE` states; a larger plant has fewer starts, so that the total work is the same
 MOST_STARTS = 8
-SAME = 1e-4  # relative; two descents whose norms differ by less have found the same minimum
-BOUND_TOLERANCE = 1e-4  # relative; the search ends if the norm is this close to the lower bound
-# relative to the lower bound; norm of the state feedback to start from: the smaller this distance, the larger its gain
+SAME = 1e-4  # descents whose norms differ by less than this relative amount have found the same minimum
+BOUND_TOLERANCE = 1e-4  # the search ends if the relative distance between the norm and the lower bound is smaller
+# relative distance between the lower bound and the norm of the state feedback from which descent starts; a smaller distance
+# gives a larger gain
 NEAR = 1e-3
-ZERO = 1e-9  # relative to the plant's matrices; a smaller norm counts as zero
-SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
-AROUND = 60  # rounds of each descent that starts near the best gain
-# relative; two norms that differ by less are equal, because the two methods of computing the norm round differently
+ZERO = 1e-9  # a norm that is smaller, relative to the plant's matrices, counts as zero
+SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which additional descents start, in logarithms of the gain
+AROUND = 60  # number of rounds of each descent that starts near the best gain
+# norms that differ by less than this relative amount count as equal, because the two methods for the norm round differently
 EQUAL = 1e-9
 SHARES = tuple(0.5**k for k in range(1, 41))  # multiples of a gain that are tried for the same norm
-DIFFERENT_STARTS = 3  # number of multiples in a row with a different norm after which the trials end
-HALVINGS = 10  # bisections for the smallest multiple with the same norm, to a thousandth
-LIMIT = 3e4  # evaluations of the norm for closed loops of 8 states: 7 to 18 s of processor time
+DIFFERENT_STARTS = 3  # the trials end after this number of successive multiples with a different norm
+HALVINGS = 10  # number of bisections that determine the smallest multiple with the same norm to a thousandth
+LIMIT = 3e4  # limit on the number of norms, for loops with 8 states; they take 7 to 18 s of processor time
 
 
 class Candidate(NamedTuple):
-    """A point whose loop is stable, its norm, and the start that led to it."""
+    """Point with a stable loop, its norm, and the start from which it was found."""
 
     x: Array
     norm: float
@@ -71,7 +74,10 @@ class Candidate(NamedTuple):
 
 
 def bounded_work(plant: Plant) -> Work:
-    """Returns the limit on the work of a search for one controller of a plant. Plants of more than 8 states get more."""
+    """Returns the limit on the work of a search for one controller of a plant.
+
+    The limit is higher for plants with more than 8 states.
+    """
     return Work(LIMIT * max(1.0, price(len(plant.A), 0)))
 
 
@@ -88,23 +94,24 @@ def static_output_feedback(
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n); that of the plant by default. A row that depends linearly on other rows gets a
-            gain of zero.
-        largest_gain: bound on |K_ij|, in the units of the plant. The bound keeps the gain finite if the norm falls without
-            limit towards infinite gains. The search works in balanced coordinates, but a change of units changes this bound and
-            may lead to another local minimum.
-        lower_bound: lower bound on the norm of every such controller. The search ends early if it comes close to this bound,
+        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant. The gain on a row that depends linearly on other
+            rows is zero.
+        largest_gain: largest allowed |K_ij|, in the units of the plant. This limit keeps the gain finite if the norm continues
+            to decrease as the gain grows. The search works in balanced coordinates, but a change of units changes the meaning
+            of this limit and may lead to another local minimum.
+        lower_bound: lower bound on the norm of every such controller. The search ends early if the norm is close to this bound,
             and the certificate contains the bound.
-        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). By default zero, or that of the plant if
-            Cy is not given. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting points.
-        rival: norm that another design reaches. The search ends early for gains that stay far above this norm. The default,
-            infinity, means that there is no other design.
+        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero, or the matrix of the plant
+            if Cy is not given. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
+            points.
+        rival: norm that another design reaches. The search ends early if the norms of its gains stay far above this norm.
+            Default: infinity, if there is no other design.
 
     Returns:
-        The law u = K y with K of shape (m, q), its certificate, and the start that led to it.
+        The law u = K y with K of shape (m, q), its certificate, and the starting point from which it was found.
 
     Raises:
-        InputError: the plant has no state, or a matrix does not fit it.
+        InputError: the plant has no state, or a matrix does not fit the plant.
         DesignError: no stabilising gain was found.
 
     Example:
@@ -138,17 +145,17 @@ def design_by_descent(
     limits: Sequence[float] = (np.inf,),
     work: Work | None = None,
 ) -> list[DesignResult]:
-    """Designs static gains by descent, with one limit after the other, until the poles are slow enough for an actuator.
+    """Designs static gains by descent, with successive limits on the gain, until the poles are slow enough for an actuator.
 
     Args:
         plant, largest_gain, lower_bound, rival: arguments of `static_output_feedback`.
-        two_steps: result of the two steps, or the reason why they found no gain.
-        limits: bounds on the entries of the gain in the units of `Landscape`. In these units, a gain of 1 moves poles about as
-            fast as the plant's.
-        work: counter of the norms that all searches evaluate together; by default, each search has its own `bounded_work`.
+        two_steps: result of the two-step method, or the reason why it found no gain.
+        limits: bounds on the entries of the gain in the units of `Landscape`. In these units, a gain of 1 moves poles to about
+            the speed of the plant's own poles.
+        work: common counter of the work of all searches. Default: each search has its own `bounded_work`.
 
     Returns:
-        One design per limit that was tried.
+        One design for each limit that was tried.
     """
     steps, instead = (two_steps, "") if isinstance(two_steps, DesignResult) else (None, two_steps)
     ends = list[DesignResult]()
@@ -187,14 +194,14 @@ class GainSearch:
         work: Work | None = None,
     ) -> None:
         """Args:
-        largest_gain: bound on |K_ij|, in the units of the plant.
+        largest_gain: largest allowed |K_ij|, in the units of the plant.
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
         structure: argument of `Landscape`.
-        alike: function that returns an equivalent point, with the same closed loop, whose entries are compared with the limit.
-        enough: relative distance to the lower bound at which the search ends.
+        alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
+            the limit.
+        enough: the search ends if the relative distance to the lower bound is smaller.
         rival: argument of `static_output_feedback`.
-        work: counter of the norms that the search evaluates. A descent ends if its limit is exceeded. By default there is no
-            limit.
+        work: counter of the work of the search. A descent ends if the limit of this counter is exceeded. Default: no limit.
         """
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)
@@ -204,19 +211,19 @@ class GainSearch:
         self.enough = max(lower_bound * (1 + enough), self.nothing)
 
     def refined(self, two_steps: DesignResult) -> list[Candidate]:
-        """Returns the result of the two steps, refined by a descent if its norm is near the rival's."""
+        """Returns the result of the two steps, refined by a descent if its norm is close to the norm `rival`."""
         if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * HEATS[0][2]:
             return self.feasible_candidates(self.landscape.point(two_steps.gain), "the two steps")
         try:
             gain = refine(self.plant, None, two_steps.gain).gain
-        except DesignError:  # stable by its proof, but not stable with the rounding errors of the landscape
+        except DesignError:  # stable according to its proof, but not with the rounding errors of the landscape
             return []
         return self.feasible_candidates(self.landscape.point(gain), "the two steps, refined")
 
     def starts(self, most: int = MOST) -> list[Candidate]:
         """Returns stable points of many magnitudes.
 
-        If there are none, it returns the results of a limited number of stabilising starts.
+        If there are none, the result comes from a limited number of stabilising starts.
         """
         sampled = survey(self.landscape, self.limit)
         candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")
@@ -241,15 +248,15 @@ class GainSearch:
             numbers = range(numbers.stop, most)
 
     def feasible_candidates(self, x: Array, origin: str) -> list[Candidate]:
-        """Returns the point, clipped to the limit, as a list of one candidate; an empty list if its loop is not stable."""
+        """Returns the point, clipped to the limit, as a list with one candidate; the list is empty if the loop is not stable."""
         x = np.clip(self.alike(self.landscape, x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
 
     def smallest(self, best: Candidate) -> Array:
-        """Returns the smallest multiple, to a thousandth, of a candidate's gain with the same norm, shape (m, q).
+        """Returns the smallest multiple of a candidate's gain that has the same norm, accurate to a thousandth, shape (m, q).
 
-        The norm is evaluated without `Landscape`, which loses digits if a gain is huge.
+        The norm is computed without `Landscape`, which is inaccurate for very large gains.
         """
         K = self.landscape.gain(best.x)
         most = max(own_norm(self.plant, K) * (1 + EQUAL), self.nothing)
@@ -267,7 +274,7 @@ class GainSearch:
         return least * K
 
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
-        """Returns the best candidate by successive halving: all descend briefly, and only the best of them descend further."""
+        """Returns the best candidate by successive halving: brief descents from all candidates, longer ones from the best."""
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
         most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(MOST_STARTS * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:
@@ -283,7 +290,7 @@ class GainSearch:
         return best[0]
 
     def best(self, candidates: list[Candidate]) -> Candidate:
-        """Returns the best result of the descents from the candidates and from points near the best one."""
+        """Returns the best result of descents from the candidates and from points near the best candidate."""
         n, best = len(self.plant.A), self.successive_halving(candidates)
         if best.norm > self.rival * HEATS[-1][2]:
             return best
@@ -302,7 +309,7 @@ class GainSearch:
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []
-        with up_to_rounding():  # rounding errors may end the descent of a loop near the stability limit
+        with up_to_rounding():  # near the stability limit of a loop, rounding errors may end the descent
             x, _ = descend_norm(self.landscape, candidate.x, self.limit, rounds, self.enough)
             moved = self.feasible_candidates(x, candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)

@@ -1,15 +1,15 @@
-"""The paper's two steps: a static output-feedback gain by two LMI problems, with its certificate (section 2).
+"""The paper's two-step method: two LMI problems give a static output-feedback gain and its certificate (section 2).
 
     x' = A x + B u + Bw w,    z = C x + D u + Dw w,    y = C_y x        (15), Dw = 0 in the paper
 
 Step 1 designs a state feedback u = G_s x: it maximises eta = norm^-2 subject to an LMI in X and Y. For u = K y, X and Y must
-also fulfil Y X^-1 = K C_y (8), which is not convex. Step 2 therefore maximises eta only over the X and Y of the form (12).
-These pairs form a convex set for every matrix L, and each pair gives a gain K. With L from (14), the X of step 1 has the form
-(12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a solver
-nor on units.
+also fulfil Y X^-1 = K C_y (8), which is not a convex condition. Step 2 therefore maximises eta only over pairs X, Y of the form
+(12). These pairs form a convex set for every matrix L, and each pair gives a gain K. If L is given by (14), the X of step 1 has
+the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a
+solver nor on units.
 
-The functions before `well_posed` are the paper's formulas. The functions after it choose independent measurements and units. If
-step 2 has no solution for the optimal X of step 1, these functions take X from an earlier point of the central path.
+The functions above `well_posed` implement the formulas of the paper. The functions below it choose independent measurements and
+units. If step 2 has no solution for the optimal X of step 1, they use the X of an earlier point on the central path.
 `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
@@ -37,18 +37,19 @@ from synth.plant.units import independent, own_units, unit_rows
 if TYPE_CHECKING:
     pass
 
-MOST = 1100  # unknowns of step 1 (45 states with one input); step 2 is then solved from several X within about a minute
-SAME = 1e-9  # relative distance up to which a state gain G counts as K C_y
+# largest number of unknowns of step 1 (45 states, one input); step 2 is then solved for several X within about a minute
+MOST = 1100
+SAME = 1e-9  # a state gain G counts as K C_y up to this relative distance
 
 
 def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
-    """Returns the central path of (22). The K of its last point is the state gain G_s with the smallest norm.
+    """Returns the central path of problem (22). The K of the last point is the state gain G_s with the smallest norm.
 
     Args:
-        mu: path parameter, see `central_path`.
+        mu: smallest path parameter; see `central_path`.
 
     Raises:
-        NoSolutionError: no state feedback moves every mode by more than rounding.
+        NoSolutionError: no state feedback changes every mode by more than rounding.
     """
     n = len(plant.A)
     # State feedback as a problem of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22) Then u = G_s x (1),
@@ -68,11 +69,11 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
 
     Args:
         X: the state-feedback X, shape (n, n).
-        Cy: shape (q, n), full row rank.
-        Q: shape (n, n - q).
+        Cy: measurement matrix, shape (q, n), of full row rank.
+        Q: basis of the nullspace of C_y, shape (n, n - q).
 
     Raises:
-        DesignError: C_y X C_y' is singular to rounding.
+        DesignError: C_y X C_y' is singular up to rounding.
     """
     rows, lengths = unit_rows(Cy)
     try:
@@ -91,11 +92,11 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
 
 
 def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
-    """Returns the central path of (25) for a given L. The K of its last point is the gain Y_R X_R^-1 (13).
+    """Returns the central path of problem (25) for a given L. The K of the last point is the gain Y_R X_R^-1 (13).
 
     Args:
         plant: plant whose C_y, shape (q, n), has full row rank.
-        L: shape (n - q, q): (14), or zero for the one-step design of remark 4.
+        L: matrix L of (14), or zero for the one-step design of remark 4 of the paper, shape (n - q, q).
         Q: basis of the nullspace of C_y, shape (n, n - q).
 
     Raises:
@@ -113,9 +114,9 @@ def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
 
 
 def independent_rows(plant: Plant) -> list[int]:
-    """Returns the indices of rows of C_y that are linearly independent of earlier rows, ascending.
+    """Returns the indices of the rows of C_y that are linearly independent of all earlier rows, in ascending order.
 
-    Equation (9) needs full row rank. The states are scaled by `own_units`, and each row is scaled to length one, so the result
+    Equation (9) requires full row rank. The states are scaled by `own_units`, and each row is scaled to length one, so the result
     does not depend on units. No row may be zero.
     """
     return independent(plant.Cy * own_units(plant, measured=True).states)
@@ -123,7 +124,7 @@ def independent_rows(plant: Plant) -> list[int]:
 
 @functools.lru_cache(maxsize=2)  # both steps of a design call this function, and plants do not change
 def well_posed(plant: Plant) -> WellPosedProblem:
-    """Returns problem (22) of a plant; if it is degenerate, a regularised problem. The result does not depend on units.
+    """Returns problem (22) of a plant or, if (22) is degenerate, a regularised problem. The result does not depend on units.
 
     Raises:
         InputError: the plant has no state.
@@ -144,7 +145,7 @@ NO_GAIN = "no static gain found"
 
 
 def no_gain(tried: str, more: str = "") -> str:
-    """Returns a message for a search without a stabilising static gain: first advice, then what was tried."""
+    """Returns a message for a search that found no stabilising static gain: advice, followed by what was tried."""
     return f'{NO_GAIN}; measure more signals, {more}or give order = "full", a law with states (tried: {tried})'
 
 
@@ -155,9 +156,9 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
     If (22) has no optimum, a regularised problem replaces it.
 
     Raises:
-        InfeasibleError: the plant cannot be stabilised; the message describes the mode.
-        DesignError: there is no central path, or the path could not be followed; the message gives the reason. For example, z
-            does not contain an integrator, or a control force has no weight.
+        InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
+        DesignError: there is no central path, or the path could not be followed; the message gives the reason. For example, an
+            integrator does not affect z, or a control force has no weight.
     """
     problem, plant = well_posed(plant), plant.unmeasured
     own = own_units(plant)
@@ -180,11 +181,11 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
     """Designs the state feedback with the smallest norm, the optimum of (22).
 
     Args:
-        path: central path from `state_path`; computed if empty.
-        lower_bound: lower bound on the norm of every state feedback, for the certificate.
+        path: central path from `state_path`; if empty, the path is computed.
+        lower_bound: for the certificate: lower bound on the norm of every state feedback.
 
     Raises:
-        InfeasibleError, DesignError: errors of `state_path`; also DesignError if no certificate holds.
+        InfeasibleError, DesignError: as for `state_path`; also DesignError if no certificate holds.
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
@@ -195,10 +196,10 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
 
 
 def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: KnownBound = None) -> DesignResult:
-    """Returns the gain furthest along a central path whose certificate holds and whose loop is slow enough for actuators.
+    """Returns the last gain of a central path whose certificate holds and whose loop is slow enough for actuators.
 
-    All certified loops may be too fast compared with the plant, for example if the plant hardly moves without control. The
-    slowest of these loops then replaces the plant as the reference for the speed.
+    All certified loops may be too fast compared with the plant, for example if the plant hardly moves without control. In this
+    case, speeds are relative to the slowest of these loops instead of the plant.
 
     Raises:
         DesignError: no certificate holds.
@@ -208,8 +209,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     for i in reversed(range(len(path))):
         point = path[i]
         X = point.X if point.proof is None else point.proof
-        # Here y = C_y x (4), u = K y (5) and G = K C_y (6). The norm in the certificate is that of (27), computed by two
-        # methods.
+        # Here y = C_y x (4), u = K y (5) and G = K C_y (6). The norm in the certificate is (27), computed by two methods.
         certificate = certify(plant, Feedback(point.K, plant.Cy), X, point.eta, lower_bound)
         if not certificate.loop_failures:
             before = path[max(i - 1, 0)].K
@@ -242,18 +242,18 @@ def two_step_design(
     lower_bound: KnownBound = None,
     states: Sequence[str] = (),
 ) -> DesignResult:
-    """Designs the static gain of the paper's two steps: X from (22) gives L (14), then (25) gives the gain.
+    """Designs a static gain by the paper's two-step method: the X of (22) gives L (14), with which (25) gives the gain.
 
-    Adds its certificate. The second problem (25) can be infeasible for the optimal X, and feasible for the X of an earlier
-    point of the central path. In this case, X is taken from the last such point. The plant is first scaled to internal units,
-    so that the result does not depend on the units of the plant.
+    The result includes the certificate of the gain. The second problem (25) may be infeasible for the optimal X, but feasible
+    for the X of an earlier point on the central path. In this case, the X of the last feasible point is used. The plant is
+    first scaled to internal units, so that the result does not depend on the units of the plant.
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurements y = C_y x, shape (q, n); those of the plant by default. Rows that depend linearly on other rows get a
-            gain of zero.
-        path: the central path of (22); computed if empty.
-        lower_bound: lower bound on the norm of every controller from these measurements, for the certificate.
+        Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the matrix of the plant. The gain on rows that depend
+            linearly on other rows is zero.
+        path: central path of (22); if empty, the path is computed.
+        lower_bound: for the certificate: lower bound on the norm of every controller from these measurements.
         states: names of the states, for messages.
 
     Returns:
@@ -261,10 +261,10 @@ def two_step_design(
 
     Raises:
         InputError: C_y does not fit the plant, or is empty.
-        InfeasibleError: no static gain from y stabilises the plant; the message describes the mode.
+        InfeasibleError: no static gain from y stabilises the plant; the message describes the mode that cannot be stabilised.
         TooLargeError: (22) has more than 1100 unknowns (45 states with one input).
-        DesignError: (25) has no solution from any X tried, a central path broke off, or no certificate holds. A stabilising
-            gain may exist nevertheless.
+        DesignError: (25) has no solution for any X that was tried, a central path ended early, or no certificate holds. A
+            stabilising gain may still exist.
 
     Example:
         >>> from synth import GeneralizedPlant, two_step_design
@@ -312,13 +312,13 @@ def two_step_design(
     if reasons := "; ".join(stabilisability_failures(plant, states) or static_feedback_obstructions(plant)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, NoSolutionError)]
-    first, *_ = [*broken, *failures]  # after a path that broke off, it is unknown whether the second problem has a solution
+    first, *_ = [*broken, *failures]  # after a path that ended early, it is unknown whether the second problem has a solution
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
 @numerics()
 def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
-    """Designs the static gain of (25) with L = 0, without the first step (remark 4 of the paper).
+    """Designs a static gain by (25) with L = 0, without the first step (remark 4 of the paper).
 
     Raises:
         NoSolutionError: (25) has no solution with L = 0.
@@ -335,7 +335,7 @@ def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
 
 
 def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
-    """Returns the plant with y = C_y x without noise, the same with independent rows of C_y, and the indices of these rows."""
+    """Returns the plant without measurement noise, the same plant with only independent rows of C_y, and their indices."""
     check_inputs(plant)
     plant = plant.measured(plant.Cy)
     kept = independent_rows(plant)
@@ -343,7 +343,10 @@ def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
 
 
 def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state_step_gap: float) -> DesignResult:
-    """Converts a design for some of q measurements to a design for all q. The gain of the others is zero."""
+    """Converts a design for some of q measurements to a design for all q measurements.
+
+    The gain on the other measurements is zero.
+    """
     law = unchecked_static_law(on_all_rows(design.gain, kept, q))
     redundant = tuple(i for i in range(q) if i not in kept)
     return replace(design, law=law, state_step_gap=state_step_gap, redundant=redundant)
@@ -370,14 +373,14 @@ def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def check_stabilisable(plant: Plant, states: Sequence[str] = ()) -> None:
-    """Raises an InfeasibleError if there is a proof that no static gain stabilises the plant.
+    """Raises an InfeasibleError if no static gain can stabilise the plant and a simple proof exists.
 
-    The proof uses a single mode, or the sum or the product of the poles.
+    The proof is based on a single mode, or on the sum or the product of the poles.
     """
     from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 
     reasons = list[str]()
-    with contextlib.suppress(InputError):  # an entry is too large in its units, so that this check proves nothing
+    with contextlib.suppress(InputError):  # an entry is too large in its units, so this check proves nothing
         reasons = stabilisability_failures(plant, states) or static_feedback_obstructions(plant)
     if reasons:
         raise InfeasibleError("; ".join(reasons))

@@ -1,4 +1,4 @@
-"""Conversion of a controller's section to a design problem, and of the result of a design to a controller."""
+"""Converts a controller's section of a vehicle file to a design problem, and the result of a design to a controller."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,7 +40,8 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
         lower_bound: lower bound on the norm for any controller with these measurements.
 
     Raises:
-        InputError: a preview design does not measure every state, or a design for the sampled-data loop has no sample period.
+        InputError: the controller of a preview design does not measure every state, or a design for the sampled-data loop has
+            no sample period.
         DesignError: an LQG design has noise, but no sample period.
     """
     request = entry.request
@@ -93,14 +94,14 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
 
 
 def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
-    """Returns a function that certifies the ideal loop of a law on the measurements."""
+    """Returns a function that certifies a law on the measurements for the ideal loop."""
     from synth.analysis.bounding import certify_tightly
 
     return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> list[float] | None:
-    """Returns the white-noise intensity of each measurement that depends on the state, for LQG; None without noise.
+    """Returns, for LQG, the white-noise intensity of each measurement that depends on the state; None if there is no noise.
 
     Noise of rms sigma that is sampled every T seconds corresponds to white noise of intensity sigma sqrt(T).
 
@@ -123,7 +124,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> l
 def controller_of(
     vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, problem: DesignProblem, result: DesignResult
 ) -> Controller:
-    """Returns the controller from the result of a design, with its law on the measurements of the sensors."""
+    """Returns the controller that follows from the result of a design. Its law acts on the sensor signals."""
     law, remarks = problem.as_run(result.law), result.remarks
     redundant = tuple(entry.measured[i] for i in result.redundant if i < len(entry.measured))
     if entry.request.sampled:
@@ -154,7 +155,7 @@ def controller_of(
 
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
-    """Returns a note about the H2 norm that the design minimises."""
+    """Returns a text about the H2 norm that the design minimises."""
 
     at_once = FEATURES.load("H2 designs").AT_ONCE if np.any(problem.plant.Dw) else ""
     of_white_noise = "the rms of z if road velocity is white noise of intensity 1"
@@ -173,8 +174,7 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
 def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
     """Converts a preview of the plant's disturbances to a preview of the roads.
 
-    The road's warp is a disturbance in addition to the road velocities (`generalized_plant`). The warp is also known in
-    advance.
+    The road's warp is a disturbance in addition to the road velocities (`generalized_plant`), and it is also known in advance.
     """
 
     model = vehicle.linear_model

@@ -1,4 +1,4 @@
-"""Design of the controllers of a vehicle file: from a controller's name to a certified law.
+"""Design of the controllers of a vehicle file: from the name of a controller to a certified law.
 
 Several designs of one vehicle share intermediate results. Start reading at `Designer`.
 """
@@ -41,7 +41,9 @@ NOT_REFINED = "but --refine changes static gains, which have no integral; omit -
 
 
 class SharedDesignData:
-    """Plant, central path and bounds that all designs for a vehicle and its actuators share. Each is computed at its first use.
+    """Plant, central path and bounds that all designs for a vehicle and its actuators share.
+
+    Each item is computed when it is first used.
 
     Attributes:
         plant: plant without measurement noise.
@@ -55,12 +57,12 @@ class SharedDesignData:
 
     @cached_property
     def state_path(self) -> list[CentralPoint]:
-        """Central path of (22). Measurement noise has no effect here, because the state is known."""
+        """Central path of (22). Measurement noise has no effect on this path, because the state is assumed to be known."""
         return state_path(self.plant, self.states)
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point, which holds for any measurements without noise."""
+        """Lower bound on the norm from the invariant point. It holds for any measurements without noise."""
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
@@ -74,8 +76,8 @@ class SharedDesignData:
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> "LowerBound":
         """Returns the lower bound on the norm for controllers of any order with these measurements and this noise.
 
-        Without measurements, the bound is that of state feedback. With heights above a datum, it is the bound for any
-        measurements.
+        If there are no measurements, the bound for state feedback is returned. If heights above a datum are measured, the bound
+        for any measurements is returned.
         """
         key = tuple(measured), noise
         if self.vehicle.linear_model.over_datum(measured):
@@ -85,7 +87,7 @@ class SharedDesignData:
             everything = key[0] == self.states and not np.any(plant.Dyw)
             try:
                 path = self.state_path
-            except DesignError:  # a plant without a design may still be checked
+            except DesignError:  # a plant for which no design exists may still be checked
                 path = []
             self._bounds[key] = FEATURES.load("lower bounds").find_lower_bound(
                 plant.unmeasured if everything else plant, None, path, self.beyond_control
@@ -94,11 +96,13 @@ class SharedDesignData:
 
 
 class Designer:
-    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by all designs and done at its first use.
+    """Designs the controllers of one vehicle.
+
+    The state-feedback step (22) is shared by all designs and solved when it is first used.
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        search: True to compare given gains also with the best controller of each vehicle, which requires further designs
+        search: True to also compare given gains with the best controller of each vehicle, which requires additional designs
             (`verify_specifications`).
 
     Raises:
@@ -125,7 +129,7 @@ class Designer:
 
     @property
     def plant(self) -> Plant:
-        """Plant with forces without lag, and without measurement noise."""
+        """Plant without actuator lag and without measurement noise."""
         return self.shared().plant
 
     @property
@@ -140,7 +144,7 @@ class Designer:
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point, which holds for any measurements."""
+        """Lower bound on the norm from the invariant point. It holds for any measurements."""
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
@@ -148,14 +152,14 @@ class Designer:
         return self.shared(hardware).problem(measured, hardware.noise)
 
     def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
-        """Returns the lower bound for controllers of any order with these measurements; without any, for state feedback."""
+        """Returns the lower bound for controllers of any order with these measurements; if there are none, for state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
     def _later_bound(self, entry: ControllerEntry) -> Any:
         return LaterBound(lambda: self.lower_bound(entry.measured, entry.hardware))
 
     def sampled_bound(self, controller: Controller) -> "SampledBound | None":
-        """Returns the lower bound of the sampled-data loop, for any controller with the measurements of the given one.
+        """Returns a lower bound on the sampled-data norm for any controller with the same measurements as the given controller.
 
         The result is None if the controller was not designed for the sampled-data loop, or if no bound is proved.
         """
@@ -176,16 +180,16 @@ class Designer:
 
         Args:
             name: name of a controller of the vehicle file, or `passive` or `state`.
-            zero_l: True to use L = 0 instead of (14), as in remark 4 of the paper, for an output-feedback design in two steps.
-            on_progress: callback that receives the progress of a design for goals.
+            zero_l: for an output-feedback design in two steps, True to use L = 0 instead of (14), as in remark 4 of the paper.
+            on_progress: function that is called with the progress of a design for goals.
 
         Returns:
-            The controller with law, certificate and notes, as a `Controller`.
+            The controller, with its law, certificate and notes.
 
         Raises:
             InputError: no controller has this name.
-            DesignError: the controller could not be designed, or its certificate fails. A given gain is reported unchanged. If
-                the two steps fail, a descent on the norm continues the design; see `Controller.fallback_method`.
+            DesignError: the controller could not be designed, or its certificate fails. A given gain is not changed. If the two
+                steps fail, a descent on the norm replaces them; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -198,7 +202,7 @@ class Designer:
             raise type(error)(f"controller {name!r}: {error}") from error
 
     def judged(self, controller: Controller) -> Controller:
-        """Returns a controller with the results proved for its frequency-weighted uncertainties, if its section has them."""
+        """Returns a controller with the proved results for its frequency-weighted uncertainties, if its section has any."""
         errors = self._entry(controller.name).errors
         if errors is None:
             return controller
@@ -206,7 +210,7 @@ class Designer:
         return FEATURES.load("weighted errors").with_robustness(self.vehicle, controller, errors)
 
     def _design(self, name: str, zero_l: bool, on_progress: Progress) -> Controller:
-        """Designs a controller, or certifies a given one; see `design`."""
+        """Designs a controller, or certifies a given law; see `design`."""
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
@@ -255,19 +259,19 @@ class Designer:
 
     @check_arguments
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
-        """Certifies a known law from measurements to forces. The law is not changed.
+        """Certifies a known law from measurements to forces, without changing the law.
 
         Args:
-            name: any name for the controller.
+            name: name for the controller; any name is allowed.
             measured: names of the q measured signals.
             law: linear law from the q measurements to the m forces.
-            hardware: sensor noise, actuator lag and loads that the certificate includes.
+            hardware: sensor noise, actuator lag and loads that the certificate takes into account.
 
         Returns:
-            The law with its certificate, as a `Controller`.
+            Controller with this law and its certificate.
 
         Raises:
-            InputError: the law has another number of measurements or forces, or its algebraic loop has no solution.
+            InputError: the numbers of measurements or forces of the law are wrong, or its algebraic loop has no solution.
         """
         expected = len(self.vehicle.linear_model.inputs), len(measured)
         if law.D.shape != expected:
@@ -305,7 +309,7 @@ class Designer:
 
     @check_arguments
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
-        """Returns a controller with a lower norm, as long as the lower norm justifies a larger gain.
+        """Lowers the norm of a controller, as long as the decrease justifies a larger gain, and returns the new controller.
 
         The method is `synth.design.descent.refine`. If the two steps find no gain, the result is the best gain from several
         starting points.
@@ -315,7 +319,7 @@ class Designer:
             zero_l: True to use L = 0 instead of (14) in the two steps.
 
         Raises:
-            InputError: no controller has this name, or it has no gain to change, such as `passive`.
+            InputError: no controller has this name, or the controller has no gain to change, such as `passive`.
             DesignError: the gain does not stabilise the vehicle, or no starting point leads to a gain.
         """
 
@@ -332,11 +336,11 @@ class Designer:
             start = None
         problem, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
         if entry.request.sampled and start is None:
-            self.design(name)  # raises the reason
+            self.design(name)  # raises an error with the reason
         return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
-    def worth_refining(self, controller: Controller) -> float:
-        """Returns a relative decrease of the norm of a designed controller that `refine` reaches; 0 if it is negligible."""
+    a design for the sampled-data loop is already refined
+        """Returns a relative decrease that `refine` would achieve for the norm of a designed controller; 0 if it is negligible."""
         if (
             not controller.designed
             or controller.sampled  # the design for the sampled-data loop is refined already
@@ -352,7 +356,7 @@ class Designer:
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """Recomputes the certificate of a given law from its proofs.
 
-        Returns the certificate and descriptions of the claims that fail.
+        The result contains the certificate and descriptions of the false claims.
 
         Raises:
             InputError: the certificate is malformed.
@@ -363,7 +367,7 @@ class Designer:
             raise self.vehicle.located(error) from error
 
     def _entry(self, name: str) -> ControllerEntry:
-        """Returns the entry of the vehicle file, or of `passive` or `state`, under a name."""
+        """Returns the controller entry with the given name: from the vehicle file, `passive` or `state`."""
         name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
@@ -375,7 +379,10 @@ class Designer:
 def certify_given(
     vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL
 ) -> Controller:
-    """Certifies a known law. To certify several laws of a vehicle, use `Designer.certify`, which shares work."""
+    """Certifies a known law.
+
+    To certify several laws of a vehicle, use `Designer.certify`, which computes shared results only once.
+    """
     return Designer(vehicle).certify(name, measured, law, hardware)
 
 
@@ -385,7 +392,10 @@ def driver_of(vehicle: Vehicle, name: str) -> AnyController:
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:
-    """Designs one controller of a vehicle. To design several, use `Designer`, which shares work."""
+    """Designs one controller of a vehicle.
+
+    To design several controllers, use `Designer`, which computes shared results only once.
+    """
     return Designer(vehicle).design(name)
 
 
@@ -394,10 +404,10 @@ def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], A
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        names: names of controllers of the file, `passive` or `state`; a single name counts as a list of one.
+        names: names of controllers of the file, `passive` or `state`. A single name may be given without a list.
 
     Returns:
-        The controllers in the order of the names, each a `Controller` with law and certificate.
+        The controllers, in the order of the names, each with its law and certificate.
 
     Raises:
         InputError: a name is unknown, or the list is empty.

@@ -1,16 +1,17 @@
 """Expected ride of a loop on a random road: the weighted rms acceleration of the body as in ISO 2631-1.
 
 A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may reduce the norm and still make
-the ride worse. The ride is therefore computed, too, from the road spectrum and the ideal loop. The vertical road velocity is
-white noise within its band, the rear wheels follow with a delay, and the coherency relates the left and right tracks. Let H be
-the response of an acceleration to the road under every wheel. Let e be the response of the road to two independent white
-sources, and W_k the frequency weighting. Then
+the ride worse. The expected ride is therefore also computed, from the road spectrum and the ideal loop. The vertical road
+velocity is white noise of density G_v within its band, the rear wheels follow with a delay, and a coherence function relates
+the left and right tracks. Let H be the response of an acceleration to the road under every wheel. Let e be the response of the
+road to two independent white sources, and W_k the frequency weighting. Then
 
     mean square = G_v integral of |W_k H e|^2 df.
 
-The loop is continuous, without limits, and its actuators deliver every force. `sim.drive` computes the ride of the sampled-data
-loop. Straight lines replace nonlinear characteristics of dampers and springs. These lines are not the tangents at equilibrium,
-which apply to far smaller motions, but those of statistical linearisation on this road (`synth/controller/equivalent_line.py`).
+The loop is continuous and has no limits, so its actuators deliver every requested force. `sim.drive` computes the ride of the
+sampled-data loop. Straight lines replace the nonlinear characteristics of dampers and springs. These lines come from
+statistical linearisation on this road, because the tangents at equilibrium are valid only for far smaller motions
+(`synth/controller/equivalent_line.py`).
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ from synth.plant.loop import frequency_response
 from synth.plant.quadrature import sample_band
 
 ROAD_CLASS, SPEED = "C", 20.0  # class of an average road, and speed [m/s]
-METHOD = "statistical linearisation"  # method for a vehicle with nonlinear characteristics
+METHOD = "statistical linearisation"  # method for vehicles with nonlinear characteristics
 WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
@@ -39,13 +40,14 @@ WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str] | None = None) -> float | None:
     """Returns the expected weighted rms acceleration on an average road, at the worst of several points [m/s2].
 
-    The result is None if the ideal loop is not stable, or if no vertical acceleration of the body is a signal. The result is
-    also None if no equivalent linear vehicle exists.
+    The result is None if the ideal loop is not stable, or if the vehicle has no signal for a vertical acceleration of the body.
+    The result is also None if no equivalent linear vehicle exists.
 
     Args:
         vehicle: vehicle of the controller.
         controller: linear controller.
-        points: names of acceleration signals. Default: the points with a person; without persons, all points of the body.
+        points: names of acceleration signals. Default: the points where a person sits or, if there is no person, all points of
+            the body.
     """
     felt = points or vehicle.ride_points.worst_of
     if not felt or not controller.certificate.stable:
@@ -62,7 +64,7 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
 
 
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
-    """Explains why statistical linearisation of a stable loop fails.
+    """Explains why no equivalent linear vehicle exists for a stable loop.
 
     The result is empty if the expected ride is missing for another reason.
     """
@@ -85,7 +87,7 @@ def _deviations(
     road = Iso8608(ROAD_CLASS, speed=SPEED, track_width=track_width(vehicle)).spectrum
 
     def spectra(omega: Array) -> Array:
-        """Returns the spectra of the signals relative to that of the road, shape (F, k)."""
+        """Returns the spectra of the signals relative to the spectrum of the road, shape (F, k)."""
         response = frequency_response(loop, signals, road_inputs(model, controller, omega), omega)
         amplitude = response @ sources(vehicle, road, omega)
         if weighting is not None:

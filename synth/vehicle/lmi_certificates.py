@@ -35,21 +35,24 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, with_outputs_of_norm
 from synth.vehicle.verification import Verification, shifted_plant
 
-PERFORMANCE = "performance"  # name of the plant with z of [performance]
+PERFORMANCE = "performance"  # name of the plant whose output z is that of [performance]
 CHECKERS = ("check_certificate.py", "check_certificate.html")  # programs that check a certificate
-MOST_STATES = 40  # largest number of states of a loop; proofs with more states take minutes
+MOST_STATES = 40  # largest number of states of a loop with a certificate; with more states, proofs take minutes
 SAMPLED = "its matrix exponentials are irrational"
 BAND = "a norm in a band is computed by level sets in floating point"
 ROAD = "the response to a road is computed in floating point"
 
 
 def certificate(designer: Designer, controller: Controller, law: ExportedLaw | None = None) -> dict[str, Any]:
-    """Returns the LMI certificate of a controller as JSON. If nothing can be claimed, it contains the reason instead of claims.
+    """Returns the LMI certificate of a controller as JSON.
+
+    If no claim can be proved, the certificate contains the reason instead of claims.
 
     Args:
         designer: designer of the vehicle.
         controller: linear controller of the vehicle.
-        law: law in its exported form. The certificate of a static law then uses the rounded numbers of the code.
+        law: law in its exported form. If it is given, the certificate of a static law uses the rounded numbers of the exported
+            code.
     """
     vehicle = designer.vehicle
     about = {"vehicle": vehicle.kind.name, "fingerprints": _fingerprints(vehicle, controller, law)}
@@ -97,7 +100,7 @@ def _without_claims(controller: Controller, about: Mapping[str, Any], reason: st
 
 
 def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw, list[tuple[str, str]]]:
-    """Returns the law to which a certificate applies, and the claims that the certificate omits, each with the reason."""
+    """Returns the law that a certificate describes, and the claims that the certificate omits, each with the reason."""
     own = controller.law
     if law is None or not controller.acts:
         return own, []
@@ -115,7 +118,7 @@ def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw
 def _fingerprints(vehicle: Vehicle, controller: Controller, law: ExportedLaw | None) -> dict[str, str]:
     """Returns the SHA-256 of the vehicle file and of the tables in the C code.
 
-    The tables are the lines that `grep -E '^(static|    [{])' NAME_data.h` prints.
+    The checksum of the tables covers the lines that `grep -E '^(static|    [{])' NAME_data.h` prints.
     """
     try:
         law = law or exported_law(vehicle, controller, "double", c_name(controller.name))
@@ -153,7 +156,7 @@ def _outputs(vehicle: Vehicle) -> list[Signal]:
 
 
 def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: Array, names: Names) -> None:
-    """Adds the claims about the goals of a controller's section, for each vehicle of its family."""
+    """Adds the claims about the goals of a controller's section, for each vehicle in the family of the goals."""
     goals = entry.goals
     assert goals is not None, "they are given"
     asked = goal_problem(vehicle, entry, goals)
@@ -207,7 +210,7 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
 
 
 def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: ExportedLaw | None = None) -> dict[str, str]:
-    """Returns the files of a certificate folder: one certificate per controller, and the checkers in Python and JavaScript.
+    """Returns the files of a certificate folder: one certificate for each controller, and the checkers in Python and JavaScript.
 
     Args:
         vehicle: vehicle of the controllers.

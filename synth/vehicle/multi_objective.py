@@ -1,4 +1,4 @@
-"""Design of controllers for the goals of their section: the optimisation problem and the certified specifications."""
+"""Design of controllers for the goals of their section in a vehicle file: optimisation problem and certified specifications."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,11 +29,11 @@ from synth.plant.generalized import Plant
 from synth.vehicle.design_problem import certify_ideal_loop
 from synth.vehicle.verification import Verification
 
-USUAL_SPEED = 12.5  # speed [m/s] if a bound gives none; the speed of the paper, (62)
+USUAL_SPEED = 12.5  # default speed of bounds [m/s]; the speed of the paper, (62)
 
 
 def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Vehicle]:
-    """Returns the vehicles of the family for which a section is designed.
+    """Returns the vehicles of the family for which a section's controller is designed.
 
     Raises:
         InputError: the parameters of a vehicle in the family are invalid.
@@ -47,11 +47,11 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
 
 
 def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> MultiObjectiveProblem:
-    """Returns the optimisation problem of a section with goals, without the individual optima of the vehicles.
+    """Returns the optimisation problem for the goals of a section, without the individual optima of the vehicles.
 
     Raises:
-        InputError: a road is unknown or has no end, or a vehicle or measurement is invalid. The message gives the file and the
-            bound.
+        InputError: a road is unknown or has no end, or a vehicle or measurement is invalid. The message contains the file and
+            the bound.
     """
     try:
         return _goal_problem(vehicle, entry, goals)
@@ -82,7 +82,7 @@ def with_outputs_of_norm(vehicle: Vehicle, norm: NormOf) -> Vehicle:
 
 
 def _with_norm(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Plant:
-    """Returns the plant of a vehicle with the output z of a norm goal."""
+    """Returns the plant of a vehicle whose output z contains the signals of a norm goal."""
     return problem(with_outputs_of_norm(vehicle, norm), entry.measured, entry.hardware).plant
 
 
@@ -96,7 +96,7 @@ def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound
 
     felt, end = road.from_start, road.duration
     displacement, velocity = felt.displacement, felt.velocity
-    if felt is not road:  # a road from measured points is level after its end
+    if felt is not road:  # a road from measured points is level after the end of the points
 
         def displacement(t: Array, side: str) -> Array:
             return felt.displacement(np.minimum(t, end), side)
@@ -122,7 +122,7 @@ def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound
 
 
 def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Raises an InputError for signals that contain the road velocity, and therefore jump with it."""
+    """Raises an InputError for signals that contain the road velocity, because they jump when the road velocity jumps."""
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
@@ -132,7 +132,7 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
 
 
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> BoundedSignal:
-    """Returns the signal of an energy bound, as a row on the states of the plant of the minimised norm."""
+    """Returns the signal of an energy bound, as a combination of the states and inputs of the plant for the minimised norm."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
@@ -155,7 +155,7 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
     Raises:
         InputError: the road is unknown, has loads or a vertical edge, or has no end.
     """
-    from models.roads.choice import choose_road  # imports the code of all roads, loads and their files
+    from models.roads.choice import choose_road  # this import loads the code of all roads, loads and their files
 
     where = f"{where} road = {bound.road!r}"
     with error_in(f"{where}:"):
@@ -179,18 +179,18 @@ def goals_design(
         vehicle: vehicle with the section.
         entry: controller's section.
         goals: goals of the section.
-        plant_problem: control problem of the certificate, with z of `[performance]` at all frequencies.
+        plant_problem: control problem for the certificate, whose z is that of `[performance]` at all frequencies.
         lower_bound: lower bound on the norm for any controller with these measurements.
-        on_progress: callback that receives the progress of the search.
+        on_progress: function that is called with the progress of the search.
 
     Returns:
-        The controller with its certificate and verified specifications, as a `Controller`.
+        The controller with its certificate and verified specifications.
 
     Raises:
         DesignError: no controller was found.
     """
     problem = goal_problem(vehicle, entry, goals)
-    # The ratios to the individual optima are reported for every family, and minimised if the goals request it.
+    # The ratios of the norms to the individual optima are reported for every family. They are minimised if the goals request it.
     bests = with_individual_optima(problem) if goals.family else problem
     certify = certify_ideal_loop(plant_problem, lower_bound)
     asked = DesignProblem(plant_problem.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
@@ -204,7 +204,8 @@ def goals_design(
     if goals.structure is not None and not np.all(problem.structure):
         assert asked.goals is not None, "goals"
         full = replace(asked.goals, structure=np.ones_like(problem.structure))
-        goal = improved_goal(full, design.details, on_progress)  # descends from the design for a limited number of rounds
+        # descends from the gain of the design for a limited number of rounds
+        goal = improved_goal(full, design.details, on_progress)
         said.append(
             f"the structure costs at least {percent(design.value / goal - 1)}: a gain with every entry reaches {digits(goal)}, "
             "and may reach a lower value"
@@ -223,10 +224,11 @@ def verify_specifications(
         entry: controller's section.
         goals: goals of the section.
         law: static law of the section.
-        search: True to include the ratio to each vehicle's individual optimum in a family, which requires further designs.
+        search: for a family, True to include the ratio of the norm to each vehicle's individual optimum, which requires
+            additional designs.
 
     Raises:
-        DesignError: the ratios are included, but no gain satisfies the bounds for one of the vehicles alone.
+        DesignError: the ratios are included, but for one of the vehicles, even on its own, no gain satisfies the bounds.
     """
     problem = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:

@@ -1,11 +1,12 @@
-"""Comparison with the paper's published designs, (40)-(60), and with its remarks 4 and 5 on other design methods.
+"""Comparison with the paper's published designs (40)-(60), and with remarks 4 and 5 of the paper about other design methods.
 
-Remark 4: with the states (30), problem (25) has no solution for L = 0. With z_s, z_u and their velocities as states, as in
-[33], it has a solution for controller I and none for II. With these states, w is the road height, because the road velocity
-would require an additional state. The output z is the same.
+Remark 4: with the states (30), problem (25) has no solution for L = 0. If z_s, z_u and their velocities are the states, as in
+reference [33] of the paper, (25) has a solution for controller I, but none for II. For these states, w is the road height,
+because the road velocity would require an additional state. The output z is the same.
 
-Remark 5: in [19], controller I was found by a genetic algorithm. Here, `scipy.optimize.differential_evolution` represents this
-type of search. This search uses only the norm of a gain, within a given box. The result depends on the box and on the seed.
+Remark 5: in reference [19] of the paper, controller I was found by a genetic algorithm. Here,
+`scipy.optimize.differential_evolution` represents this type of search. It uses only the norm of each gain, and searches within
+a given box of gains. The result depends on the box and on the seed.
 """
 
 import math
@@ -24,7 +25,7 @@ from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer
 
-# Bases (47) and (57) that the paper chose; L depends on these bases, K does not.
+# Bases (47) and (57) that the paper chose; L depends on these bases, but K does not.
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}  # (46), (55)
 Q = {"I": np.eye(4)[:, [1, 3]], "II": np.eye(4)[:, [1, 0, 3]]}  # (47), (57)
 
@@ -34,15 +35,15 @@ EXACT = ""
 
 @dataclass(frozen=True)
 class PrintedNumber:
-    """Published number of the paper.
+    """Number that the paper published.
 
     Attributes:
-        equation: place in the paper.
+        equation: number of the equation in the paper.
         quantity: symbol of the quantity.
         entry: row and column, counted from 0; None for a scalar.
         value: published value.
         digit: unit of the last published digit.
-        reason: reason if Roadproof's value differs in this digit; else empty.
+        reason: reason why Roadproof's value differs in the last published digit; empty if it does not differ.
     """
 
     equation: str
@@ -53,9 +54,9 @@ class PrintedNumber:
     reason: str
 
 
-NOT = math.nan  # an entry that is not published, or that follows by symmetry
-# Columns: equation, symbol, unit of the last published digit, value or matrix, and the entries for which the paper's solver
-# stopped too early.
+NOT = math.nan  # entry that is not published, or that follows by symmetry
+# Columns: equation, symbol, unit of the last published digit, value or matrix, and the entries that are inaccurate because the
+# paper's solver stopped too early.
 _RESULTS = (
     ("(40)", "G_s", 1e0, [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]], [(0, 2)]),
     ("(41)", "gamma_Gs", 1e-4, 7.8365, []),
@@ -114,22 +115,22 @@ def entry_of(quantity: Array | float, entry: tuple[int, int] | None) -> float:
 
 TO_RELATIVE = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states (30) are TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
-BOX = 2e4  # limit of every entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
+BOX = 2e4  # largest allowed entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
 SEED = 1
-TOLERANCE = 1e-6  # relative spread of the population's norms at which the search ends
-UNSTABLE = 1e6  # value of an unstable loop: far above stable ones, and larger the faster the loop grows
+TOLERANCE = 1e-6  # the search ends if the relative spread of norms in the population is smaller
+UNSTABLE = 1e6  # value for an unstable loop: far above the norms of stable loops, and larger if the loop grows faster
 
 
 @dataclass(frozen=True, eq=False)
 class WithoutL:
-    """Result of remark 4 (L = 0) for one controller.
+    """Result for remark 4 of the paper (L = 0), for one controller.
 
     Attributes:
         controller: name of the controller, I or II.
-        states: choice of states, "(30)" or "[33]".
+        states: choice of states: "(30)" for equation (30), or "[33]" for reference [33] of the paper.
         gain: gain K, shape (1, q); None if (25) has no solution for L = 0.
         bound: gamma of (25); None if (25) has no solution.
-        best: gamma of (22) for the same plant, a lower bound for any gain.
+        best: gamma of (22) for the same plant, which is a lower bound for any gain.
     """
 
     controller: str
@@ -141,14 +142,14 @@ class WithoutL:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Result of one design method for remark 5.
+    """Result of one design method for remark 5 of the paper.
 
     Attributes:
         controller: name of the controller, I or II.
         how: name of the method.
         gain: gain K, shape (1, q).
         norm: norm of the closed loop.
-        work: text with the number of LMI problems solved or norms computed.
+        work: text with the number of LMI problems that were solved, or of norms that were computed.
         seconds: processor time [s].
     """
 
@@ -161,14 +162,14 @@ class Way:
 
 
 def absolute_states(plant: Plant) -> Plant:
-    """Returns the paper's plant with the states of [33], z_s, z_u, z_s' and z_u', and the road height as w."""
+    """Returns the paper's plant with the states z_s, z_u, z_s' and z_u' of reference [33], and the road height as w."""
     A = np.vstack([np.eye(4)[2:], plant.A[2:] @ TO_RELATIVE])
     B, Bw = (np.vstack([np.zeros((2, 1)), rows]) for rows in (plant.B[2:], plant.A[2:] @ ROAD))
     return Plant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
 
 
 def remark_4(designer: Designer) -> list[WithoutL]:
-    """Returns the results for L = 0: both controllers, with both choices of states."""
+    """Returns the results for L = 0, for both controllers and both choices of states."""
     cases = []
     for states, plant, turned in (
         ("(30)", designer.plant, np.eye(4)),
@@ -187,8 +188,8 @@ def remark_4(designer: Designer) -> list[WithoutL]:
 
 @numerics()
 def remark_5(designer: Designer) -> list[Way]:
-    """Returns the results of the two steps and of a genetic algorithm, for both controllers."""
-    from scipy.optimize import differential_evolution  # the import takes 0.5 s
+    """Returns the results of the two-step method and of a genetic algorithm, for both controllers."""
+    from scipy.optimize import differential_evolution  # this import takes 0.5 s
 
     ways, plant = [], designer.plant
     for name, Cy in CY.items():
@@ -205,6 +206,7 @@ def remark_5(designer: Designer) -> list[Way]:
         box, given, rng = [(-BOX, BOX)] * len(Cy), (Landscape(plant.measured(Cy)),), np.random.default_rng(SEED)
         search = differential_evolution(norm, box, given, rng=rng, tol=TOLERANCE, polish=False)
         seconds = time.process_time() - begin
-        value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by two methods; the search itself used one
+        # this norm is computed by two methods; the search itself used only one method
+        value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value
         ways.append(Way(name, "genetic", search.x[None], value, f"{search.nfev} norms", seconds))
     return ways

@@ -1,4 +1,4 @@
-"""Result of `--refine` for a controller, with its trade-off, and an estimate of the benefit of `--refine`."""
+"""Result of `--refine` for a controller, with the trade-off between norm and gain, and an estimate of the benefit of `--refine`."""
 
 from dataclasses import dataclass
 
@@ -18,13 +18,14 @@ from synth.design.two_step import independent_rows
 
 @dataclass(frozen=True, eq=False)
 class RefinedController:
-    """Controller whose norm was reduced, and details of its refinement.
+    """Controller whose norm was reduced by refinement, and details of the refinement.
 
     Attributes:
         controller: refined controller with its certificate.
         start: controller before refinement; None if the two steps found no gain.
-        origin: text about another starting point of the descent; empty if the descent began at `start`.
-        refinement: norms before and after, growth of the gain, and further decreases that were rejected.
+        origin: text about the starting point of the descent; empty if the descent began at `start`.
+        refinement: norms before and after the refinement, growth of the gain, and the decrease that was rejected because it was
+            too small.
     """
 
     controller: Controller
@@ -34,20 +35,21 @@ class RefinedController:
 
     @property
     def trade_off_text(self) -> str:
-        """Trade-off of the refinement in words."""
+        """Text about the trade-off between norm and gain."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 
 def refine_controller(
     vehicle: Vehicle, entry: ControllerEntry, problem: Problem, start: Controller | None, lower_bound: LowerBound
 ) -> RefinedController:
-    """Returns the controller of an entry with a lower norm.
+    """Returns a controller with a lower norm for a section of the vehicle file.
 
     Args:
         vehicle: vehicle of the controller.
         entry: controller's section.
         problem: control problem with which the controller is evaluated.
-        start: controller to refine. None if the two steps found no gain; the best result of other starting points is then used.
+        start: controller to refine; None if the two steps found no gain. In this case, the best result from other starting
+            points is used.
         lower_bound: lower bound on the norm for any controller with these measurements.
 
     Raises:
@@ -81,7 +83,7 @@ def refine_controller(
 
 
 def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
-    """Returns a relative decrease of a stable controller's norm that refinement reaches; 0 if it is negligible."""
+    """Returns a relative decrease that refinement would achieve for the norm of a stable controller; 0 if it is negligible."""
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0

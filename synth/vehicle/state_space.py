@@ -1,6 +1,6 @@
 """Conversion of plants and controllers from and to `control.StateSpace` objects of python-control, with named signals.
 
-Functions accept any object with the attributes of a `control.StateSpace`.
+The functions accept any object that has the attributes of a `control.StateSpace`.
 """
 
 import re
@@ -35,14 +35,14 @@ def from_state_space(
             its sample period [s].
         disturbances: names of the inputs that are disturbances w. All other inputs are controls u.
         performance: weights of the outputs that form z, by name.
-        measured: names of the outputs that form y. These outputs must not contain u or w directly.
+        measured: names of the outputs that form y. These outputs must have no feedthrough from u or w.
 
     Returns:
-        The plant, continuous or discrete like the system, and C_y of shape (q, n).
+        The plant, continuous or discrete as the system is, and C_y of shape (q, n).
 
     Raises:
         InputError: a signal is unknown; disturbances, positive weights or measurements are missing; a discrete system has no
-            sample period; or a measurement contains u or w directly.
+            sample period; or a measurement has a feedthrough from u or w.
 
     Example:
         >>> import control
@@ -99,20 +99,22 @@ def _sample_period(system: Any) -> float | None:
 
 
 def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
-    """Converts a linear system to a certified controller. The system leads from the measurements to the forces.
+    """Converts a linear system to a certified controller.
+
+    The inputs of the system are the measurements, and its outputs are the forces.
 
     Args:
         vehicle: vehicle of the controller.
         name: name of the controller.
-        measured: names of the signals at the inputs of the system. If the system has names for its inputs or outputs, these
-            names determine the signals and forces; otherwise their order does.
+        measured: names of the signals at the inputs of the system. If the inputs or outputs of the system have names, these
+            names assign them to signals and forces; otherwise, their order does.
         system: `control.StateSpace`, or an object with A, B, C and D. If it is discrete, `dt` is its sample period [s].
 
     Returns:
-        The controller with its certificate, as a `Controller`. Its law is the given system, unchanged.
+        Controller with its certificate. Its law is the given system, unchanged.
 
     Raises:
-        InputError: a signal, a shape, an entry or the sample period does not fit the vehicle.
+        InputError: a signal, the shape of a matrix, an entry or the sample period does not fit the vehicle.
 
     Example:
         >>> import control
@@ -124,7 +126,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         >>> controller.law.states, f"{controller.certificate.norm.value:.3f}"
         (1, '7.845')
     """
-    # Raises an error if the shapes do not fit together
+    # Raises an error if the shapes of the matrices do not fit together
     law = LinearLaw(*_matrices(system), sample_period=_sample_period(system))
     columns = _order(system, "input_labels", measured)
     rows = _order(system, "output_labels", vehicle.linear_model.inputs)
@@ -144,7 +146,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
         controller: linear controller with at least one measurement.
 
     Returns:
-        The law as a `control.StateSpace`, continuous or discrete like the law.
+        The law as a `control.StateSpace`, continuous or discrete as the law is.
 
     Raises:
         InputError: the controller has no measurements, or belongs to another vehicle.
@@ -182,7 +184,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
 
 
 def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
-    """Returns the positions of names among the inputs or outputs of a system; if the system has no names, the given order."""
+    """Returns the positions of names among the inputs or outputs of a system. If the system has no names, the order is kept."""
     given_names = list(getattr(system, labels, None) or names)
     if all(UNNAMED_SIGNAL.fullmatch(label) for label in given_names):
         return list(range(len(names)))
@@ -196,12 +198,13 @@ def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """Returns the closed loop (16) as a continuous `control.StateSpace`, from the roads to every output of the vehicle.
 
-    Sensors have no noise, and actuators have no lag. Heights above the datum of a flat road are omitted, because a bounded road
-    velocity does not bound them. The first inputs are the road velocities [m/s]. If road warp acts by its height, as in a full
-    car, each warp is a further input. A warp is given as a velocity: its height times `twist_rate` of the linear model.
+    Sensors have no noise, and actuators have no lag. Heights above the datum of a flat road are omitted, because they are
+    unbounded even if the road velocity is bounded. The first inputs are the road velocities [m/s]. If the warp of the road acts
+    through its height, as in a full car, each warp is an additional input. A warp is given as a velocity: the height of the
+    warp times `twist_rate` of the linear model.
 
     Args:
-        vehicle: vehicle whose outputs are those of the loop.
+        vehicle: vehicle; its outputs are the outputs of the loop.
         controller: designed or given controller with a linear law.
 
     Returns:
@@ -222,11 +225,11 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
 
 
 def loop_to(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
-    """Returns the closed loop from the disturbances to the z of a vehicle, whose entries have the names `outputs`.
+    """Returns the closed loop from the disturbances to z of a vehicle. The entries of z have the names `outputs`.
 
-    If the road has a filter, the inputs are those of the filter, `w[road]`. The noise of a sensor, if the design includes it,
-    is an input in units of its rms, `noise[signal]`. A load is an input `load[name]`, in units of the load that counts as 1
-    m/s.
+    If the road has a filter, the inputs are the inputs of this filter, `w[road]`. The noise of a sensor, if the design includes
+    it, is an input in units of its rms, `noise[signal]`. A load is an input `load[name]`, in units of the load that counts as w
+    = 1 m/s.
     """
     check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss

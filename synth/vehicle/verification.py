@@ -1,4 +1,4 @@
-"""Verification of a gain against its goals, independent of the search: band norms, decay, peaks, gain errors and families."""
+"""Verification of a gain against its goals, which does not depend on the search that found the gain."""
 
 import itertools
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from synth.design.uncertainty.worst_case import Proof, WorstNorm, stable_with_er
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
-CLOSE = 1e-3  # relative distance of a bound in a band from the reached norm below which no further proof is tried
+CLOSE = 1e-3  # if a bound in a band exceeds the norm that is reached by less than this relative amount, no other proof is tried
 ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
 TIME = Field[float]("time", float, ".4g", unit="s")
 
@@ -40,7 +40,7 @@ class Verification:
         vehicle, entry, goals: vehicle, controller's section, and goals of the section.
         problem: goals as an optimisation problem on plants.
         K: gain, shape (m, q).
-        known: worst norms that are computed already.
+        known: worst norms that are already computed.
     """
 
     vehicle: Vehicle
@@ -52,12 +52,12 @@ class Verification:
 
     @property
     def names(self) -> list[str]:
-        """Descriptions of the vehicles of the family; a single empty text without a family."""
+        """Descriptions of the vehicles of the family; a single empty text if there is no family."""
         factors = [" and ".join(f"{name} x {by:g}" for name, by in member.items()) for member in self.goals.family]
         return [f"vehicle {i}, {text or 'unchanged'}" for i, text in enumerate(factors)] or [""]
 
     def promises(self) -> tuple[Specification, ...]:
-        """Returns all specifications; the specifications of the minimised norm come first."""
+        """Returns all specifications, beginning with the specifications of the minimised norm."""
         problem, goals = self.problem, self.goals
         specifications = [*self.largest(goals.minimise, problem.minimise)]
         if problem.bests is not None:
@@ -83,7 +83,7 @@ class Verification:
         return tuple(specifications)
 
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
-        """Returns the specifications of a norm over the family: without gain errors and, if given, with the worst ones."""
+        """Returns the specifications of a norm over the family: without gain errors and, if there are any, with the worst errors."""
         of = [_norm(member.plants[spec.which], self.K, spec) for member in self.problem.members]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]
@@ -109,11 +109,11 @@ class Verification:
 
         Args:
             what: name of the quantity.
-            of: value and proved bound for each vehicle.
+            of: value of the quantity and proved bound, for each vehicle.
             at_most: largest allowed value; None if the quantity is minimised.
             unit: unit of the values.
-            at: text about the place of each value, such as its frequency; may be empty.
-            proofs: proof of each bound for all gain errors; empty without errors.
+            at: text about where each value occurs, such as its frequency; may be empty.
+            proofs: proof of each bound for all gain errors; empty if there are no errors.
         """
         i = int(np.argmax([value for value, _ in of]))
         where = ", ".join(filter(None, (self.names[i], at[i] if at else "")))
@@ -121,7 +121,7 @@ class Verification:
         return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where, how)
 
     def regret(self, bests: Sequence[float]) -> Specification:
-        """Returns the specification of the largest ratio to each vehicle's individual optimum."""
+        """Returns the specification of the largest ratio between a vehicle's norm and its individual optimum."""
         problem, proofs = self.problem, []
         if problem.has_errors:
             worst = self.worst(problem.minimise)
@@ -133,7 +133,7 @@ class Verification:
         return self.most(f"largest ratio to a vehicle's own best{with_errors}", ratios, proofs=proofs)
 
     def worst(self, spec: NormSpecification) -> list[WorstNorm]:
-        """Returns the norm of every vehicle for the worst gain errors."""
+        """Returns, for every vehicle, the norm for the worst gain errors."""
         if spec not in self.known:
             members = range(len(self.problem.members))
             self.known[spec] = [
@@ -160,7 +160,8 @@ class Verification:
         box = box_of(gain, tolerance.sensors, tolerance.forces)
         if problem.dt is None and stable_in_box(gain, box) is not None:
             proof = bound_in_band(gain, box, *spec.band, unit * (1 + NEAR))
-        if proof is None or proof.bound > unit * (1 + CLOSE):  # the norm with the filter is at least the norm in the band
+        # the norm with the filter is at least as large as the norm in the band
+        if proof is None or proof.bound > unit * (1 + CLOSE):
             behind = self.worst_of(i, spec)
             tried = [GainErrors(behind.readings, behind.forces), *tried]
             if proof is None or behind.proved < proof.bound:
@@ -170,9 +171,10 @@ class Verification:
         return WorstNorm(max(values), worst.sensors, worst.forces, proof.bound if proof is not None else np.inf, proof)
 
     def decay(self, rate: float) -> list[Specification]:
-        """Returns the specifications of the slowest pole in the family: without gain errors and, if given, with the worst ones.
+        """Returns the specifications of the slowest pole in the family: without and, if there are any, with gain errors.
 
-        With gain errors, all poles are shifted to the right by the rate. The decay is proved if the shifted loops are stable.
+        If there are gain errors, all poles are shifted to the right by the rate. The decay rate is proved if the shifted loops
+        are stable.
         """
         slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]
         i = int(np.argmax(slowest))
@@ -210,7 +212,7 @@ class Verification:
 
 
 def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
-    """Returns the norm in the band, a proved bound, and its frequency [rad/s]; infinite if the loop is unstable."""
+    """Returns the norm in the band, a proved bound, and the peak frequency [rad/s]; infinite if the loop is unstable."""
     norm = norm_in_band(_loop(plant, K), *spec.band)
     if not norm.stability.stable:
         return np.inf, np.inf, np.nan
@@ -218,16 +220,16 @@ def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float
 
 
 def shifted_plant(plant: Plant, rate: float) -> Plant:
-    """Returns the plant without its filters and with shifted poles.
+    """Returns the plant without its filters, with all poles shifted to the right.
 
-    A loop with this plant is stable if the loop with the original plant decays faster than `rate` [1/s].
+    A loop with this plant is stable if the loop with the given plant decays faster than `rate` [1/s].
     """
     alone = plant.without_weighting
     return replace(alone, A=alone.A + rate * np.eye(len(alone.A)))
 
 
 def _slowest(plant: Plant, K: Array) -> float:
-    """Returns the largest real part of the poles of a loop [1/s], without the poles of filters."""
+    """Returns the largest real part of the poles of a loop [1/s], excluding the poles of filters."""
     own = len(plant.A) - plant.weights
     return max(float(np.real(pole)) for pole in stability(_loop(plant, K).A[:own, :own]).poles)
 

@@ -1,7 +1,8 @@
 """Robust stability and robust performance of a controller for frequency-weighted uncertainties, with proofs.
 
-Both are peaks over frequency of the structured singular value mu of a loop. The loop stays stable for all uncertainties of size
-below 1 / mu. For robust performance, mu <= gamma means that the norm is at most gamma for all uncertainties of size 1 / gamma.
+Both results are peaks, over frequency, of the structured singular value mu of a loop. The loop stays stable for all
+uncertainties smaller than 1 / mu. For robust performance, mu <= gamma means that the norm is at most gamma for all
+uncertainties of size 1 / gamma.
 """
 
 from dataclasses import replace
@@ -28,7 +29,10 @@ CONTINUOUS_LOOP_REMARK = "robust stability and performance (mu) are those of the
 
 
 def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> Controller:
-    """Adds the specifications for weighted uncertainties to a controller. An unstable controller is returned unchanged."""
+    """Adds the specifications for weighted uncertainties to a controller.
+
+    A controller with an unstable loop is returned unchanged.
+    """
     if not controller.certificate.stable:
         return controller
     loop = structured_plant(vehicle, controller, errors).closed_by(controller.law.continuous())
@@ -38,7 +42,7 @@ def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedEr
 
 
 def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specification:
-    """Returns the specification of the peak of mu: a lower bound that actual uncertainties show, and a proved upper bound."""
+    """Returns the specification of the peak of mu, with a lower bound from actual uncertainties and a proved upper bound."""
     above = structured_bound(loop)
     below = worst_errors(loop, above.peak_frequency) if np.isfinite(above.gamma) else None
     value = below.mu if below is not None else np.inf
@@ -49,7 +53,7 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
 
 
 def is_robust_design(entry: ControllerEntry) -> bool:
-    """Returns True if a controller is designed for its weighted uncertainties: it has `order`, and is not a sampled design."""
+    """Returns True if a controller is designed for its weighted uncertainties: it has `order` and no sampled-data design."""
     request, structure = entry.request, entry.request.structure
     free = request.design == FULL if structure is None else not (structure.kind or structure.rows)
     return entry.errors is not None and free and not request.sampled
@@ -71,7 +75,7 @@ def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:
 def _of_added_force(
     vehicle: Vehicle, bandwidth: float | None, of_states: tuple[int, ...], of_z: tuple[int, ...]
 ) -> tuple[Array, Array]:
-    """Returns B and D for a force that is added to the requested force; z contains only the requested force."""
+    """Returns B and D for a force that is added to the requested force. z contains only the requested force."""
     forces = vehicle.linear_model.inputs
     other = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal not in forces]
     without = [replace(one, terms={name: by for name, by in one.terms.items() if name not in forces}) for one in vehicle.sums]

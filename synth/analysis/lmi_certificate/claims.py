@@ -27,9 +27,10 @@ from synth.plant.generalized import Plant
 Claim = dict[str, Any]
 
 NOISE = (0.3, 1e-1, 1e-3)  # noise for `bounding_x`, relative to the distance of the bound from the norm
-EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # noise for `bounding_x` on every state
+EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # noise on every state for `bounding_x`, tried in this order
 ABOVE = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound from the norm, tried in this order if no bound is given
-SLOWER = (1e-3, 1e-2, 0.1)  # relative distances of the rate from the decay of the slowest pole, tried if no rate is given
+# if no rate is given, rates closer to the stability limit than the slowest pole by these relative amounts are tried
+SLOWER = (1e-3, 1e-2, 0.1)
 
 
 def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
@@ -38,7 +39,7 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        bound: bound on the norm. Default: a value just above the norm.
+        bound: bound on the norm. If it is None, a value just above the norm is used.
         known: an X that proves the bound, if one is known, shape (n, n).
     """
     plain = floats(loop, dt)
@@ -79,7 +80,8 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        rate: rate of decay [1/s]; for a discrete loop, the largest |z|. Default: a value close to that of the slowest pole.
+        rate: rate of decay [1/s]; for a discrete loop, the largest allowed |z|. If it is None, a value close to the slowest
+            pole is used.
     """
     plain = floats(loop, dt)
     growth = float(stability(plain.A, dt).growth.max())
@@ -120,7 +122,7 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
     """Returns one claim for each part of a box of gain errors; None if a claim is not proved.
 
-    All claims are about the norm, or all are about the decay.
+    Either all claims are about the norm, or all claims are about the decay.
 
     Args:
         loop: closed loop without gain errors, in rational arithmetic.

@@ -4,9 +4,9 @@ A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as th
 This plant has the additional states x_c' = v with the inputs v, and it measures x_c.
 
 For a discrete law of a continuous plant, the claims concern its continuous counterpart by Tustin's method. This counterpart has
-the same gain, but another plant: with a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v. The transfer function from v to x_c is
-then (a - s) / (a + s), which Tustin's method substitutes for 1 / z. In both cases, the file thus contains the matrices of the
-law itself.
+the same gain, but another plant. With a = 2 / T, the plant has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The
+transfer function from v to x_c is then (a - s) / (a + s), which Tustin's method substitutes for 1 / z. In both cases, the file
+thus contains the matrices of the law itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,11 +30,11 @@ FORMAT = "LMI certificate 1"
 TWICE = "computed twice"
 MULTIPLIERS = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
 LAW_STATE = "controller_state_"
-WEAKER = 1e-7  # relative difference above which a lower bound weaker than the claimed one is listed as not exact
-WORK = 10_000  # work that a slow computer checks in 1 s: sum of the cubes of the numbers of states and outputs
+WEAKER = 1e-7  # a lower bound that is weaker than the claimed bound by more than this relative amount is listed as not exact
+WORK = 10_000  # amount of work that a slow computer checks in 1 s: the sum of the cubes of the numbers of states and outputs
 
 Signal = tuple[str, str]  # name and unit
-Names = Mapping[str, Sequence[Signal]]  # signals by the group names of `SIGNALS`
+Names = Mapping[str, Sequence[Signal]]  # signals by the names of their groups, as in `SIGNALS`
 
 
 def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:
@@ -56,7 +56,7 @@ def plain_names(plant: Plant) -> Names:
 
 
 def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
-    """Returns signals as JSON. If a name occurs several times, the later ones receive a number."""
+    """Returns signals as JSON. If several signals have the same name, a number is added to the later names."""
     names = [name for name, _ in signals]
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]
@@ -96,12 +96,12 @@ class Document:
         return exact_loop(plant, self.gain)
 
     def add(self, plant: str, what: str, claims: Claim | Sequence[Claim] | str | None) -> None:
-        """Adds claims about a plant, or the reason why they are not proved.
+        """Adds claims about a plant, or the reason why these claims are not proved.
 
         Args:
             plant: name of the plant.
             what: description of the claim.
-            claims: one claim or several; a text with the reason, or None, if there is no proof.
+            claims: one claim or several claims; if there is no proof, a text with the reason, or None.
         """
         if claims is None or isinstance(claims, str):
             self.leave_out(what, claims or "rounding leaves no proof", TWICE if claims == MULTIPLIERS else "none")
@@ -141,7 +141,7 @@ class Document:
 
         Args:
             controller: name of the controller.
-            about: further entries of the file.
+            about: additional entries of the file.
         """
         ends = [(claim.get("low", [[]]), claim.get("high", [[]])) for claim in self.claims]
         corners = [2 ** sum(a != b for a, b in zip(*low, *high, strict=True)) for low, high in ends]

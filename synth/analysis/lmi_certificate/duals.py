@@ -14,10 +14,11 @@ from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.plant.generalized import Plant
 
-# Trials: bits of a dual solution, and the relative reduction of V12 from its largest size
+# Combinations that are tried: bits of a dual solution, and the relative reduction of V12 below its largest possible size
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))
-LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # relative distances below the claimed bound, tried in this order
-ENOUGH = 1e-8  # relative distance from the claimed bound below which longer numbers are not tried
+# levels that are tried in this order, as relative distances below the claimed bound
+LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+ENOUGH = 1e-8  # if the proved level is within this relative distance of the claimed bound, longer numbers are not tried
 IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
 
 
@@ -107,7 +108,7 @@ def _duals(
 
 
 def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int) -> Array | None:
-    """Returns W of a dual solution W W', shape (n + d, k), as fractions; its free entries have at most `bits` bits."""
+    """Returns W of a dual solution W W', shape (n + d, k), as fractions; the freely chosen entries have at most `bits` bits."""
     factors = None if side.antistable is not None else dual_factors(side, certificate)
     if factors is None:
         return None
@@ -118,7 +119,7 @@ def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int
 
 
 def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
-    """Returns the weight of X in a dual solution, in the coordinates of the inequality and rounded to floats."""
+    """Returns the weight that X has in a dual solution, in the coordinates of the inequality and rounded to floats."""
     n, at = len(plant.A), side.coordinates
     system, over = integers(plant.system_matrix[:, :n])
     S = _fractions(system[:, at], over)

@@ -10,8 +10,8 @@ from models.common.arrays import Array
 from synth.analysis.lmi_certificate.check_certificate import SHAPES, ExactLoop, Matrix
 from synth.plant.generalized import Plant
 
-LONG = 10**20  # denominators of short decimal fractions are smaller
-BITS = (10, 14, 18, 24, 32, 44, 53)  # numbers of bits of an entry, relative to the diagonal, tried in this order
+LONG = 10**20  # denominators of decimal fractions that are written as such are smaller than this
+BITS = (10, 14, 18, 24, 32, 44, 53)  # numbers of bits of an entry relative to the diagonal, tried in this order
 
 
 def rational(value: float | Fraction) -> str:
@@ -27,12 +27,12 @@ def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
 
 
 def decimal(value: float) -> Fraction:
-    """Returns the decimal number that Python prints for a float."""
+    """Returns the decimal number that Python prints for a float, as an exact fraction."""
     return Fraction(repr(float(value)))
 
 
 def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
-    """Returns a number rounded to `count` significant digits; down, or in the `direction` of the module `decimal`."""
+    """Returns a number rounded to `count` significant digits: down, or in a `direction` of the module `decimal`."""
     return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
@@ -45,7 +45,7 @@ def exact_loop(plant: Plant, K: Array) -> ExactLoop:
     """Returns the loop u = K y of a plant in rational arithmetic, as the checker computes it.
 
     Raises:
-        ZeroDivisionError: the loop through the measurements has no solution.
+        ZeroDivisionError: the algebraic loop through the measurements has no solution.
     """
     return ExactLoop({name: exact(getattr(plant, name)) for name in SHAPES} | {"sampled": plant.dt is not None}, exact(K))
 

@@ -1,16 +1,17 @@
-"""The computation that is exported as code: a controller as its vehicle file implements it, and the same computation in Python.
+"""Computation that is exported as code: the controller with the implementation in its vehicle file, and its equivalent in Python.
 
 The computation in each sample has these steps:
 
 1. An input that is not finite is replaced by its last finite value.
 2. Measurements are quantised.
 3. The forces of a linear law are summed over the measurements, then over the states, in the order of the matrix columns.
-4. Forces are limited, then their changes. With semi-active dampers, the forces are converted to damping coefficients instead.
-5. The next states are summed in the same way.
-6. The outputs that were computed `delay` samples before are returned.
+4. The forces are limited, and then their changes per sample. With semi-active dampers, the forces are converted to damping
+    coefficients instead.
+5. The next states are computed by sums in the same order.
+6. The outputs that were computed `delay` samples earlier are returned.
 
-A force or a state that overflows becomes 0. C and Python do the same operations in the same order and number format. Their
-results are therefore equal bit for bit.
+A force or a state that overflows is set to 0. C and Python perform the same operations in the same order and number format.
+Their results are therefore equal bit for bit.
 """
 
 import re
@@ -33,10 +34,11 @@ from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, r
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
 STILL = {"double": 1e-150, "float": 1e-30}  # velocity that replaces 0 in divisions [m/s]
-LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}  # values from here on are invalid
-NEAREST = {"double": 2.0**52, "float": 2.0**23}  # numbers from here on have no fractional part
-GIVEN_RANGE = "given"  # source of a range that the user gave, without a proved peak
-SPARE = 1.1  # factor on a proved peak, to allow for the effects of sampling and rounding
+# values of this size or larger are invalid
+LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}
+NEAREST = {"double": 2.0**52, "float": 2.0**23}  # numbers of this size or larger have no fractional part
+GIVEN_RANGE = "given"  # source of a range that the user gave and that no peak proves
+SPARE = 1.1  # factor by which a proved peak is increased, to allow for the effects of sampling and rounding
 KEYWORDS = frozenset(
     ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
 )  # C keywords that a controller's name could equal
@@ -44,13 +46,13 @@ KEYWORDS = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class ExportedLaw:
-    """Controller in the form in which the computer of a car runs it.
+    """Controller in the form in which a computer in a car executes it.
 
     Attributes:
-        name: prefix of all its names in C.
+        name: prefix of all names in the C code.
         controller: name of the controller in the vehicle file.
         numbers: number format: "double", "float", "int32" or "int16".
-        period: sample period [s]; None if the law has no states and needs no sample period.
+        period: sample period [s]; None for a law without states that needs no sample period.
         inputs: names of the q measurements, followed by the velocities of suspensions with a semi-active damper.
         units: units of the inputs.
         meanings: one-line description of each input.
@@ -62,12 +64,12 @@ class ExportedLaw:
         change: largest change of a force per sample [N]; None without limit.
         delay: delay from a measurement to its output [samples].
         anti_windup: anti-windup gain, shape (k, m); None without anti-windup.
-        dampers: nominal coefficient of each semi-active damper, and the smallest and largest difference from it [N s/m]; empty
-            for force actuators.
+        dampers: for each semi-active damper, its nominal coefficient, and the smallest and largest difference from this value
+            [N s/m]; empty for force actuators.
         semi_active: name of the semi-active law; empty for a linear law.
         coefficients: numbers of the semi-active law; None for a linear law.
-        modes: number of measurements of body modes, which come before those of the suspensions.
-        ranges: largest magnitude of each measurement, shape (q,), for fixed point; None for floating point.
+        modes: number of measurements of body modes; they come before the measurements of the suspensions.
+        ranges: for fixed point, largest magnitude of each measurement, shape (q,); None for floating point.
         range_sources: text about the source of each range.
     """
 
@@ -95,7 +97,7 @@ class ExportedLaw:
 
     @cached_property
     def fixed(self) -> FixedPoint | None:
-        """Units and integer coefficients for fixed point; None for floating point."""
+        """For fixed point, units and integer coefficients; None for floating point."""
         if self.ranges is None:
             return None
         return fixed_point(self.numbers, self.law, self.anti_windup, self.limit, self.change, self.resolution, self.ranges)
@@ -112,7 +114,7 @@ class ExportedLaw:
 
     @property
     def largest(self) -> dict[str, float] | None:
-        """Largest magnitude of each measurement, by name, for fixed point; None for floating point."""
+        """For fixed point, largest magnitude of each measurement, by name; None for floating point."""
         return None if self.ranges is None else dict(zip(self.inputs, self.ranges.tolist(), strict=True))
 
     @property
@@ -147,12 +149,11 @@ def exported_law(
         driver: controller of this vehicle.
         numbers: number format, as in `ExportedLaw`.
         name: prefix of the names in C.
-        ranges: largest magnitude of each measurement, by name, for fixed point. A measurement with a proved peak may be
-            omitted.
-        sources: sources of the ranges in `ranges` that the user did not give, by name.
+        ranges: for fixed point, largest magnitude of each measurement, by name. Measurements with a proved peak may be omitted.
+        sources: for each range in `ranges` that the user did not give, a text about its source, by name.
 
     Raises:
-        InputError: the controller is a Python law or an FMU, has states or a rate limit but no sample period, or controls
+        InputError: the controller is a Python law or an FMU, it has states or a rate limit but no sample period, or it controls
             dampers that cannot be exported.
     """
     how, model = vehicle.implementation, vehicle.linear_model
@@ -219,10 +220,10 @@ def exported_law(
 
 
 def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
-    """Returns the range of every measurement whose peak is proved by a goal, and a text about its source, by name.
+    """Returns, by name, the range of every measurement whose peak a goal proves, and a text about the source of the range.
 
-    The peak is that of the ideal loop. The factor `SPARE` allows for the effects of sampling and rounding. A measurement is
-    clipped at its range.
+    The proved peak is valid for the ideal loop, so the factor `SPARE` allows for the effects of sampling and rounding. A
+    measurement is clipped at its range.
     """
     found = dict[str, tuple[float, str]]()
     for name in driver.measured:
@@ -238,10 +239,10 @@ def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
 def _ranges(
     vehicle: Vehicle, driver: AnyController, given: Mapping[str, float], sources: Mapping[str, str]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Returns the range of each measurement of a controller for fixed point, shape (q,), and texts about the sources.
+    """Returns the fixed-point range of each measurement of a controller, shape (q,), and texts about the sources of the ranges.
 
     Raises:
-        InputError: a measurement has no range, a range does not belong to a measurement, or the controller sets dampers.
+        InputError: a measurement has no range, a range belongs to no measurement, or the controller acts on dampers.
     """
     if vehicle.dampers:
         raise InputError("integer code needs force actuators, but this vehicle has semi-active dampers; give double or float")
@@ -270,7 +271,7 @@ class PythonStep:
 
     def __post_init__(self) -> None:
         law, fixed = self.law, self.law.fixed
-        # Python's own numbers have the same bits as float64, and are five times as fast.
+        # Built-in Python floats have the same bits as float64, and computations with them are five times as fast.
         self._number = NUMBERS[law.numbers] if law.numbers == "float" else float if fixed is None else int
         self._tables = {name: [self._all(row) for row in table.tolist()] for name, table in law.tables.items()}
         self._resolution, self._ends = self._all(law.resolution.tolist()), [self._all(one) for one in law.dampers]
@@ -289,13 +290,13 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; for fixed point, both are integers."""
+        """Returns the outputs for the inputs of a sample; for fixed point, inputs and outputs are integers."""
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             self._line.append(self._computed(self._read(seen)))
         return self._line.pop(0)
 
     def _read(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the inputs: clipped for fixed point; otherwise, an invalid input is replaced by its last finite value."""
+        """Returns valid inputs: clipped for fixed point; otherwise, the last finite value replaces an invalid input."""
         values = self._all(seen)
         if (fixed := self.law.fixed) is not None:
             return [self._clipped(value, -fixed.largest, fixed.largest) for value in values]
@@ -303,7 +304,7 @@ class PythonStep:
         return self._valid
 
     def _settled(self, total: Any, row: int) -> Any:
-        """Returns the sum of a row as it is stored: for fixed point scaled and rounded, else 0 if it overflows."""
+        """Returns the value that is stored for a sum: scaled and rounded for fixed point, otherwise 0 if the sum overflows."""
         if (fixed := self.law.fixed) is not None:
             return rounded_shift(total, int(fixed.shifts[row]), fixed.largest)
         return self._valid_or(total, self._number(0))
@@ -334,7 +335,7 @@ class PythonStep:
         return out
 
     def _valid_or(self, value: Any, otherwise: Any) -> Any:
-        return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # the condition is also false for NaN
+        return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # this condition is also false for NaN
 
     def _sum(self, *parts: tuple[list[Any], list[Any]]) -> Any:
         total = self._number(0)
@@ -369,7 +370,7 @@ class PythonStep:
 
 
 def random_inputs(law: ExportedLaw, count: int, seed: int) -> Iterator[list[float]]:
-    """Yields `count` samples of random inputs with sizes as on roads, both signs, and occasional zeros."""
+    """Yields `count` samples of random inputs, with magnitudes that are typical of roads, both signs and occasional zeros."""
     sizes = {"m": 0.05, "m/s": 0.5, "m/s²": 3.0, "m/s2": 3.0, "N": 1000.0, "rad": 0.05, "rad/s": 0.3, "rad/s²": 3.0}
     rng, scale = np.random.default_rng(seed), np.array([sizes.get(unit, 1.0) for unit in law.units])
     for row in rng.standard_normal((count, len(scale))) * scale:

@@ -1,6 +1,6 @@
-"""C99 source of an exported law. The source uses no heap and no library, sums in a fixed order, and prefixes every name.
+"""C99 source of an exported law. The code uses no heap and no library, adds in a fixed order, and prefixes every name.
 
-For fixed point, the source uses integers only. Sums have 64 bits, and every result is clipped instead of overflowing.
+Fixed-point code uses only integers. Sums have 64 bits, and every result is clipped so that it cannot overflow.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,8 +13,8 @@ from synth.controller.export.c_law import LARGEST, NEAREST, STILL, ExportedLaw
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"
 
-# Source by name of the law: coefficient `c` from the velocities of body and wheel, their difference `v`, and a third
-# measurement
+# C source of each law, by name. It computes the coefficient `c` from the velocities of body and wheel, their difference `v`,
+# and a third measurement
 SEMI_ACTIVE = {
     "skyhook": "c = ((body * v) > ZERO) ? C_MAX : C_MIN;",
     "skyhook_linear": "c = ((body * v) > ZERO) ? (-(-SKY * body) / over) : C_MIN;",
@@ -125,15 +125,15 @@ static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
 
 
 def literal(numbers: str, value: float) -> str:
-    """Returns the shortest C literal that is read as exactly this number, for "double" or "float"."""
+    """Returns the shortest C literal of type "double" or "float" that a compiler reads as exactly this number."""
     own = (np.float32 if numbers == "float" else np.float64)(value)
     if not np.isfinite(own):
-        return "0.0"  # does not occur: no table contains such a value
+        return "0.0"  # does not occur, because no table contains such a value
     return np.format_float_scientific(own, unique=True, trim="0") + ("f" if numbers == "float" else "")
 
 
 def _loop(count: int, *lines: str) -> str:
-    """Returns a C loop over i with the given lines as its body."""
+    """Returns a C loop over the index i; the given lines are the body of the loop."""
     return f"for (i = 0; i < {count}; i++)\n{{\n" + indent("\n".join(lines), "    ") + "\n}"
 
 
@@ -299,11 +299,12 @@ class CSource:
         return _function(f"void {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)", lines)
 
     def _sums(self, total: str, *products: tuple[str, str, int]) -> list[str]:
-        """Returns lines of C that sum rows i of several tables, each multiplied by a vector.
+        """Returns lines of C that add the products of row i of each table with a vector.
 
         Args:
             total: name of the C variable for the sum.
-            products: name of a table, name of a vector and number of its entries, for each product. Empty vectors are omitted.
+            products: for each product, the name of the table, the name of the vector, and its number of entries. Empty vectors
+                are omitted.
         """
         start, lines = "0" if self.fixed is not None else self.zero, list[str]()
         for table, vector, count in products:

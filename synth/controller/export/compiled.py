@@ -1,7 +1,7 @@
 """Exported code as a compiled library, called once per sample.
 
-The library is built by the C compiler of this machine, or by that of Zig from the extra `[export]`. For the analysis, a
-controller with exported code is the same as without. In simulations, the code computes its outputs.
+The library is built by the C compiler of this machine, or by the Zig compiler, which the extra `[export]` installs. In
+simulations, the compiled code computes the outputs of the controller. The analysis is the same with and without exported code.
 """
 
 import ctypes
@@ -25,7 +25,7 @@ from synth.controller.controller import AnyController
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
 from synth.controller.export.c_source import FLAGS, CSource
 
-INTEGER = 64  # bytes in the state struct in addition to its numbers: integers and padding
+INTEGER = 64  # bytes of integers and padding in the state struct, in addition to the bytes of its numbers
 
 
 def own_compiler() -> str | None:
@@ -63,7 +63,7 @@ class ExportedCode:
 
     @property
     def record(self) -> dict[str, Any]:
-        """JSON object with number format, prefix and ranges, from which the code can be generated again, and the checksum."""
+        """JSON object with the checksum, and the number format, prefix and ranges from which the code can be generated again."""
         law = self.law
         return {"numbers": law.numbers, "name": law.name, "ranges": law.largest, "manifest_sha256": self.sha256}
 
@@ -79,7 +79,7 @@ class ExportedCode:
 @functools.lru_cache(maxsize=16)
 def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
     command = compiler()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:  # Windows does not delete a loaded library
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:  # Windows cannot delete a library that is loaded
         for file, text in texts:
             (Path(beside) / file).write_text(text, encoding="utf-8", newline="\n")
         library = Path(beside) / f"{name}.so"
@@ -87,11 +87,11 @@ def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
         built = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
         if built.returncode:
             raise InputError(f"the compiler {Path(command[0]).name} rejects {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
-        return ctypes.PyDLL(str(library))  # not CDLL: releasing the lock for other threads would take longer than a step
+        return ctypes.PyDLL(str(library))  # CDLL would release the lock for other threads, which would take longer than a step
 
 
 class CompiledStep:
-    """Controller that runs compiled code. `step()` computes `given` from `seen`.
+    """Controller that runs compiled code. A call of `step()` computes the outputs `given` from the inputs `seen`.
 
     Attributes:
         seen: inputs in the order of the law's inputs; write them before a step.
@@ -117,9 +117,9 @@ class CompiledStep:
         self.fixed = law.fixed
 
     def read(self, seen: Array) -> None:
-        """Writes the inputs, given in their units, shape (i,).
+        """Writes the i inputs, given in their physical units, shape (i,).
 
-        For fixed point, the inputs are rounded and clipped, as by an analogue-to-digital converter.
+        For fixed point, the inputs are rounded and clipped, as an analogue-to-digital converter does.
         """
         if self.fixed is None:
             self.seen[...] = seen
@@ -129,7 +129,7 @@ class CompiledStep:
 
     @property
     def forces(self) -> Array:
-        """Outputs of the last step in their units (N or N s/m), shape (m,)."""
+        """Outputs of the last step in physical units (N or N s/m), shape (m,)."""
         return self.given.astype(float) if self.fixed is None else self.given * self.fixed.given
 
     @property
@@ -139,12 +139,12 @@ class CompiledStep:
 
 
 def code_again(vehicle: Vehicle, driver: AnyController, record: Mapping[str, Any]) -> ExportedCode:
-    """Generates the code that a record describes again from its controller.
+    """Generates the exported code again from its controller and a record.
 
     Args:
         vehicle: vehicle of the controller.
         driver: controller whose code is generated.
-        record: record from `ExportedCode.record`.
+        record: description of the exported code, from `ExportedCode.record`.
 
     Raises:
         InputError: the controller cannot be exported in this way.

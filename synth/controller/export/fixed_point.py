@@ -1,12 +1,12 @@
 """Fixed-point arithmetic: integers of 16 or 32 bits for measurements, states and forces, each with its own unit.
 
 The range of each measurement is given, and the measurement is clipped at its range. These ranges determine the peaks of the
-states, by a sum over all responses of the states, and then the peaks of the forces. Nothing else can therefore overflow. The
-unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. A quantised measurement uses its
-resolution as the unit instead, if its range has few enough steps.
+states, by sums over the responses of the states, and then the peaks of the forces. With units chosen for these peaks, no value
+can overflow. The unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. A quantised
+measurement uses its resolution as the unit instead, if its range has few enough steps.
 
-A row of the law is a sum of integer coefficients times integers. The sum is computed in 64 bits without overflow, divided by
-2^shift, rounded to the nearest integer (ties away from 0), and clipped.
+Each force and each next state is a sum of products of integer coefficients and integers. The sum is computed in 64 bits without
+overflow, divided by 2^shift, rounded to the nearest integer (ties away from 0), and clipped.
 """
 
 import math
@@ -20,9 +20,11 @@ from models.laws.linear import LinearLaw
 
 BITS = {"int16": 16, "int32": 32}
 MOST_SHIFT = 62
-ABOVE = 1.01  # factor on the peak of a state, to allow for rounding
-LEAST_CHANGE = 16  # smallest number of force units in the largest change per sample; rounding it down then costs at most 6 %
-# Relative size of a response at which its rest is neglected; samples that are computed together; and largest number of samples
+ABOVE = 1.01  # factor by which the peak of a state is increased, to allow for rounding
+# the largest change of a force per sample has at least this many units; rounding it down then costs at most 6 %
+LEAST_CHANGE = 16
+# Relative size below which the rest of a response is neglected, number of samples computed together, and largest number of
+# samples
 DECAYED, CHUNK, MOST_SAMPLES = 1e-9, 256, 1_000_000
 
 
@@ -35,11 +37,11 @@ class FixedPoint:
         seen: units of the measurements, shape (q,).
         given: units of the forces [N], shape (m,).
         state_units: units of the states, shape (k,).
-        rows: integer coefficients, shape (m + k, q + k + m). The rows are the forces, then the next states. The columns are the
-            measurements, the states, and the parts of the forces that a limit removes.
-        shifts: shift of each row, shape (m + k,).
-        limit: largest force in units of each force, shape (m,); None without limit.
-        change: largest change of a force per sample in units of each force, shape (m,); None without limit.
+        rows: integer coefficients, shape (m + k, q + k + m). The rows belong to the forces, then to the next states. The
+            columns belong to the measurements, the states, and the parts of the forces that a limit removes.
+        shifts: exponent of each row by which its sum is divided (2^shift), shape (m + k,).
+        limit: largest force, in the unit of each force, shape (m,); None without limit.
+        change: largest change of a force per sample, in the unit of each force, shape (m,); None without limit.
     """
 
     largest: int
@@ -53,15 +55,15 @@ class FixedPoint:
 
 
 def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
-    """Returns the sum of |response| over all samples and disturbances for a stable loop, shape (r,).
+    """Returns, for each of r outputs of a stable loop, the sum of |response| over all samples and disturbances, shape (r,).
 
     Args:
         rows: matrix from the n states to r outputs, shape (r, n).
-        transition: matrix of the states from sample to sample, shape (n, n).
-        first: states after each of d disturbances, shape (n, d).
+        transition: transition matrix of the states from one sample to the next, shape (n, n).
+        first: states immediately after each of d disturbances, shape (n, d).
     """
     together = [rows]
-    while len(together) < CHUNK:  # one product of large matrices is cheaper than many products of small ones
+    while len(together) < CHUNK:  # one product of large matrices takes less time than many products of small matrices
         together.append(together[-1] @ transition)
     chunk, power = np.vstack(together), np.linalg.matrix_power(transition, CHUNK)
     total, state, small = np.zeros(len(chunk)), first, DECAYED * np.abs(first).sum()
@@ -94,7 +96,7 @@ def fixed_point(
         ranges: largest magnitude of each measurement, shape (q,).
 
     Raises:
-        InputError: a state has no bounded peak, or the number format has too few digits.
+        InputError: the peak of a state is unbounded, or the number format has too few digits.
     """
     if change is not None and L is not None and limit is None:
         raise InputError(
@@ -104,7 +106,7 @@ def fixed_point(
     A, B, C, D, largest = law.A, law.B, law.C, law.D, 2 ** (BITS[numbers] - 1) - 1
     m, k = len(D), len(A)
     A_own, pushed = A, B * ranges
-    if L is not None:  # the law with the acting force as an input, whether the force is clipped or not
+    if L is not None:  # law whose input is the acting force, whether the force is clipped or not
         A_own, pushed = A - L @ C, np.hstack([(B - L @ D) * ranges, L * (limit or 0.0)])
     if k and np.abs(np.linalg.eigvals(A_own)).max() >= 1 - 1e-12:
         raise InputError(f"{numbers} needs bounded states, but a state of this law does not decay; give double or float")
@@ -134,7 +136,7 @@ def fixed_point(
 
 
 def _units(peaks: Array, largest: int) -> Array:
-    """Returns powers of two as units in which no peak exceeds the largest integer."""
+    """Returns units that are powers of two and so large that no peak exceeds the largest integer."""
     return np.array([2.0 ** math.ceil(math.log2(peak / largest)) if peak > 0 else 1.0 for peak in peaks])
 
 

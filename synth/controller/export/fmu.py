@@ -28,8 +28,8 @@ NAMES_OF_FMI_2 = {
     "FMUState": "FMUstate",
     "^Deserialize": "DeSerialize",
     "ContinuousStateDerivatives": "Derivatives",
-}  # by the names in FMI 3
-# Target names of Zig, by the folder of the binary in FMI 2 and in FMI 3. In FMI 2, one binary for a Mac serves both processors.
+}  # keys are names in FMI 3, values are names in FMI 2
+# Target names of Zig, by version of FMI and by the folder of the binary. In FMI 2, one binary for a Mac serves both processors.
 TARGETS = {
     2: {
         "linux64": ("x86_64-linux-gnu.2.17",),
@@ -44,7 +44,8 @@ TARGETS = {
         "aarch64-darwin": ("aarch64-macos",),
     },
 }
-PROCESSORS = {"x86_64-macos": (0x0100_0007, 3), "aarch64-macos": (0x0100_000C, 0)}  # type and subtype in a Mach-O file
+# type and subtype of the processor in a Mach-O file
+PROCESSORS = {"x86_64-macos": (0x0100_0007, 3), "aarch64-macos": (0x0100_000C, 0)}
 FAT, ALIGNED = 0xCAFE_BABE, 14  # start of a Mach-O file for several processors; its parts are aligned to 2**14 bytes
 LIBRARY = "-shared -fPIC -fvisibility=hidden"
 PAGE = "<!DOCTYPE html>\n<html><head><title>{title}</title></head><body><pre>{about}</pre></body></html>\n"
@@ -59,7 +60,7 @@ class Fmu:
         content: bytes of the file.
         token: GUID (FMI 2) or instantiation token (FMI 3).
         platforms: folders of its binaries.
-        missing: reason why platforms are missing; empty if none is missing.
+        missing: reason why binaries for some platforms are missing; empty if no platform is missing.
     """
 
     content: bytes
@@ -75,7 +76,7 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
         model: content of the FMU.
         version: version of FMI, 2 or 3.
         resources: texts of additional files in the FMU, by file name.
-        about: plain text of its documentation.
+        about: documentation of the FMU as plain text.
     """
     parts = ["fmu.h", *(["linear.c"] if "linear.c" in model.sources else [])]
     sources = {**model.sources, **{name: (HERE / name).read_text(encoding="utf-8") for name in parts}}
@@ -100,7 +101,7 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
 
 
 def functions_of(version: int) -> str:
-    """Returns the C source of all functions of a version of FMI. The template has the names of FMI 3."""
+    """Returns the C source of all functions of a version of FMI. The template contains the names of FMI 3."""
 
     def named(found: re.Match[str]) -> str:
         name = found[1]
@@ -113,7 +114,7 @@ def functions_of(version: int) -> str:
 
 
 def zip_files(files: Mapping[str, bytes]) -> bytes:
-    """Returns a zip of files, whose bytes depend only on the names and contents of the files."""
+    """Returns the bytes of a zip file. These bytes depend only on the names and contents of the files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(files):
@@ -124,7 +125,7 @@ def zip_files(files: Mapping[str, bytes]) -> bytes:
 
 
 def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int) -> tuple[dict[str, bytes], str]:
-    """Returns the binaries by folder, and a text about missing platforms."""
+    """Returns the bytes of the binaries by folder, and a text about platforms for which no binary could be built."""
     with tempfile.TemporaryDirectory(prefix="fmu") as folder:
         place = Path(folder)
         for name, text in sources.items():
@@ -144,7 +145,7 @@ def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int)
 
 
 def _host(version: int) -> str | None:
-    """Returns the folder for binaries of this machine; None if FMI has no name for this type of machine."""
+    """Returns the name of the folder for binaries of this machine; None if FMI defines no name for this type of machine."""
     system, processor = (
         platform.system().lower(),
         platform.machine().lower().replace("amd64", "x86_64").replace("arm64", "aarch64"),
@@ -155,7 +156,7 @@ def _host(version: int) -> str | None:
 
 
 def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str], name: str) -> bytes:
-    """Compiles the sources in a folder. Returns the bytes of the shared library."""
+    """Compiles the sources in a folder, and returns the bytes of the shared library."""
     library = place / f"{name}.library"
     command = [*compiler, *FLAGS.split(), *LIBRARY.split(), *compiled, "-o", library.name]
     if "windows" in name:
@@ -167,7 +168,7 @@ def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str]
 
 
 def _universal(targets: Sequence[str], parts: Sequence[bytes]) -> bytes:
-    """Returns a Mach-O file for several processors. A single part is returned unchanged."""
+    """Returns a Mach-O file that contains a part for each processor. A single part is returned unchanged."""
     if len(parts) == 1:
         return parts[0]
     whole = bytearray(struct.pack(">II", FAT, len(parts)))

@@ -68,7 +68,7 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
 
 
 def build_description(model: FmuModel, files: Sequence[str]) -> str:
-    """Returns the text of buildDescription.xml for FMI 3. The sources are one set of C99 files."""
+    """Returns the text of buildDescription.xml for FMI 3. The description contains one set of C99 source files."""
     listed = "".join(f"      <SourceFile{_xml_attributes({'name': name})}/>\n" for name in files)
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
@@ -132,14 +132,14 @@ def _unit(signal: Signal) -> str | None:
 
 
 def _rate(signal: Signal) -> str | None:
-    """Returns the unit of the derivative of a state; None if the state has no common unit."""
+    """Returns the unit of the derivative of a state; None if this unit is not known."""
     return None if signal.unit == OWN else RATES.get(signal.unit, f"{signal.unit}/s")
 
 
 def _variables(model: FmuModel, version: int) -> list[str]:
     """Returns the variables in the order of their value references: inputs, outputs, states, derivatives.
 
-    For FMI 3, which requires it, the time is the last variable.
+    For FMI 3, the last variable is the time, which FMI 3 requires.
     """
     rows: list[tuple[str, str, Attributes, Attributes]] = []
     sampled = "continuous" if model.states else "discrete"
@@ -155,7 +155,7 @@ def _variables(model: FmuModel, version: int) -> list[str]:
     first = len(model.inputs) + len(model.outputs)
     for i, one in enumerate(model.states):
         kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
-        of = first + i + (1 if version == 2 else 0)  # FMI 2: index from 1; FMI 3: value reference
+        of = first + i + (1 if version == 2 else 0)  # FMI 2 uses an index from 1, and FMI 3 uses the value reference
         rows.append((f"der({one.name})", f"derivative of {one.name}", kind, {"unit": _rate(one), "derivative": of}))
     if version == 3:
         time = {"causality": "independent", "variability": "continuous"}

@@ -22,16 +22,16 @@ class FmuModel:
     """Content of an FMU, independent of the version of FMI.
 
     Attributes:
-        identifier: name of its library, which is a valid C name.
+        identifier: name of the FMU's library; a valid C name.
         title: one-line title.
-        inputs: m input signals; their names differ from those of the outputs.
+        inputs: m input signals; their names differ from the names of the outputs.
         outputs: p output signals.
-        states: n signals of continuous states; empty for a sampled law.
+        states: n continuous states, as signals; empty for a sampled law.
         period: required length of a step [s]; None if steps may have any length.
         delay: delay from an input to its output [samples]; 0 for a linear system.
         start: outputs before the first step, shape (p,).
-        slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The rows are the outputs, then the
-            derivatives of the states. The columns are the inputs, then the states.
+        slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The rows belong to the outputs, then to the
+            derivatives of the states. The columns belong to the inputs, then to the states.
         sources: C files of this model, by file name.
     """
 
@@ -52,7 +52,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
 
     Args:
         vehicle: vehicle that the law controls.
-        law: exported law. Its C prefix must not occur in the other sources of an FMU.
+        law: exported law. Its C prefix must not occur elsewhere in the sources of an FMU.
         certificate: SHA-256 of the certificate file.
     """
     code, m = CSource(law, certificate), len(law.outputs)
@@ -94,7 +94,7 @@ def linear_model(identifier: str, title: str, vehicle: Vehicle, system: StateSpa
 
 
 def _head(inputs: int, outputs: int, states: int, more: str) -> str:
-    """Returns the text of fmu_model.h. Its token is inserted later, when all other files are known."""
+    """Returns the text of fmu_model.h. The token in this text is inserted later, when all other files are known."""
     return (
         "/* The content of this FMU. */\n#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
         f'#define FMU_TOKEN "@TOKEN@"\n#define FMU_INPUTS {inputs}\n#define FMU_OUTPUTS {outputs}\n#define FMU_STATES {states}\n'

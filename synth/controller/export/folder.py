@@ -24,14 +24,14 @@ from synth.controller.export.compiled import ExportedCode
 from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
-INVALID = 50  # one in so many test vectors has an input that is not finite
+INVALID = 50  # one of this many test vectors has an input that is not finite
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 CERTIFICATES = "certificates"  # name of the folder with the LMI certificates
-SAME = 1e-9  # relative difference of tables that rounding on another machine may cause
+SAME = 1e-9  # relative difference between tables that rounding on another machine may cause
 
 
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
-    """Returns the content of certificate.json: the law, its tables as used in the code, and the claims of the vehicle file."""
+    """Returns the content of certificate.json: the law, its tables as in the code, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law.law, name) for name in MATRICES} | {"anti_windup": law.anti_windup}
     found: dict[str, Any] = {
@@ -214,7 +214,7 @@ class ExportedFolder:
     Attributes:
         folder: path of the folder.
         vehicle: vehicle from the vehicle file in the folder.
-        law: exported law, computed again from this vehicle file.
+        law: exported law, which is computed again from this vehicle file.
         failures: one-line text for each file that is missing or changed.
     """
 
@@ -229,7 +229,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
     Args:
         folder: path of the folder.
-        driver_of: function of a vehicle and a name that returns the controller.
+        driver_of: function that takes a vehicle and the name of a controller, and returns the controller.
 
     Raises:
         InputError: the folder is not an exported controller.
@@ -254,7 +254,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
 
 def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyController]) -> list[AnyController]:
-    """Returns the controllers of a vehicle, where the exported controller uses the code of a folder.
+    """Returns the controllers of a vehicle. The exported one among them uses the code in the folder.
 
     Args:
         found: exported folder.
@@ -279,7 +279,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
         raise InputError(f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.start()  # raises an error before the simulations if the code cannot be built
+    code.start()  # raises an error before the simulations start if the code cannot be built
     return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 

@@ -16,7 +16,10 @@ from synth.plant.state_space import StateSpace
 
 
 def vehicle_system(vehicle: Vehicle) -> StateSpace:
-    """Returns the linear system of a vehicle with actuator lag, from roads, loads and requested forces to its signals."""
+    """Returns the linear vehicle with actuator lag.
+
+    Its inputs are roads, loads and requested forces; its outputs are its signals.
+    """
     model = vehicle.linear_model
     outputs = [name for name in model.outputs if name not in model.inputs]
     return _with_heights(vehicle, plant_of(vehicle)).part(outputs, (*model.disturbances, *model.loads, *model.inputs))
@@ -36,7 +39,7 @@ def loop_system(vehicle: Vehicle, controller: Controller) -> StateSpace:
 
 
 def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
-    """Returns the signals (with units and meanings) of inputs, states or outputs of these systems, given their names."""
+    """Returns the inputs, states or outputs with the given names as signals, with units and meanings."""
     model, kind = vehicle.linear_model, vehicle.kind
     known = {name: load_signal(name) for name in model.loads}
     lagged = zip(with_lag(vehicle).states[len(model.states) :], model.inputs, strict=False)
@@ -51,7 +54,7 @@ def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
 
 
 def _with_heights(vehicle: Vehicle, plant: StateSpace) -> StateSpace:
-    """Returns the plant with the road heights, if they act, as additional states: integrals of the road velocities."""
+    """Returns the plant with the road heights that act on it as additional states: integrals of the road velocities."""
     roads, heights = vehicle.linear_model.disturbances, plant.columns(with_ending(vehicle.linear_model.disturbances, HEIGHT))
     B, D, r = plant.B[:, heights], plant.D[:, heights], len(roads)
     if not B.any() and not D.any():

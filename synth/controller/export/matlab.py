@@ -15,8 +15,8 @@ from synth.controller.export.linear_system import signals_of, vehicle_system
 from synth.controller.report import study_notes
 
 VEHICLE, QUOTE = "vehicle", "'"
-TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # without a date, so that the same content gives the same bytes
-LONGEST = 63  # largest number of characters of a name in MATLAB, and in a file of version 5
+TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # contains no date, so that the same content gives the same bytes
+LONGEST = 63  # largest number of characters of a name, both in MATLAB and in a file of version 5
 RESERVED_WORDS = {  # words reserved by MATLAB, and variables of the script
     *("break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if", "otherwise"),
     *("parfor", "persistent", "return", "spmd", "switch", "try", "while", "file", "loop", "plant"),
@@ -24,7 +24,7 @@ RESERVED_WORDS = {  # words reserved by MATLAB, and variables of the script
 
 
 def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
-    """Returns the name of each controller's struct. All names are different, and none is that of the vehicle."""
+    """Returns the name of each controller's struct. All names are different, and none is the name of the vehicle's struct."""
     names, taken = dict[str, str](), {VEHICLE, *RESERVED_WORDS}
     for one in controllers:
         plain = c_name(one.name)[: LONGEST - 4]
@@ -37,9 +37,9 @@ def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
 def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
     """Returns the bytes of a MAT-file with a struct for each controller, and the struct `vehicle` with the plant.
 
-    The struct of a controller contains A, B, C, D, Ts (0 if continuous) and the names and units of its inputs and outputs. The
-    struct also contains `gain`, the feedthrough, and `certificate`, with norm, bound, lower bound and X. If the vehicle file
-    has a sample period, `sampled` contains the matrices of the discrete implementation.
+    The struct of a controller contains A, B, C, D, Ts (0 if continuous) and the names and units of its inputs and outputs. It
+    also contains `gain`, which is the feedthrough, and `certificate`, which contains the norm, bound, lower bound and X. If the
+    vehicle file has a sample period, `sampled` contains the matrices of the discrete implementation.
     """
     for one in controllers:
         check_feedback_alone(one, "a file for MATLAB")

@@ -1,7 +1,6 @@
-"""Flatness of an optimum: the change of a single gain entry that raises the norm by a given share.
+"""Flatness of an optimum: how far a single gain entry can change until the norm rises by a given percentage.
 
-In the paper's problem, a whole face of gains is optimal. Close to this face, the norm hardly distinguishes one gain from
-another.
+In the paper's problem, a whole set of gains is optimal. Close to this set, the norm hardly depends on the gain.
 """
 
 import numpy as np
@@ -10,27 +9,28 @@ from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant
 
-SMALLEST = 1e-4  # size of the first step, relative to the scale of an entry
-# number of fourfold steps, after which a change counts as unlimited; number of bisections, to a hundredth of the change
+SMALLEST = 1e-4  # size of the first step, relative to the scale of a gain entry
+# number of steps, each four times the previous one, after which a change counts as unlimited; number of bisections that follow,
+# which give the change to within a hundredth
 STEPS, HALVINGS = 16, 8
 
 
 def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Array]:
-    """Returns, for each measurement, its largest gain, and by how much this entry may fall and rise.
+    """Returns, for each measurement, its largest gain entry, and by how much this entry may decrease and increase.
 
     Args:
         K: stabilising gain, shape (m, q).
         share: allowed relative increase of the norm.
 
     Returns:
-        Gain, allowed fall and allowed rise, each of shape (q,). Fall and rise are >= 0, and infinite if the entry has no
-        effect.
+        Gain entry, allowed decrease and allowed increase, each of shape (q,). The allowed changes are >= 0, and infinite if the
+        entry has no effect.
     """
     landscape = Landscape(plant)
     x = landscape.point(K)
     allowed = landscape.norm(x)[0] * (1 + share)
     q = K.shape[1]
-    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # index of each entry in x
+    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # index in x of each entry
 
     def stays(i: int, move: float) -> bool:
         there = x.copy()
@@ -43,7 +43,7 @@ def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Arra
 
 
 def _furthest(stays) -> float:
-    """Returns the largest change that keeps the norm within the limit, by doubling steps and bisection."""
+    """Returns the largest change that keeps the norm within the limit, found by increasing steps and then bisection."""
     inside, outside = 0.0, SMALLEST
     for _ in range(STEPS):
         if not stays(outside):

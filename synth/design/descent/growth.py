@@ -1,8 +1,8 @@
-"""Growth of a gain in stages. A stage at most doubles the gain, and is only kept if it lowers the norm by enough.
+"""Growth of a gain in stages. Each stage at most doubles the gain, and it is kept only if it lowers the norm sufficiently.
 
-Minimising a norm without bounds ruins a controller, because the infimum lies at infinite gain. Starting from the paper's
-controller I, the gain would grow to [-72240, -82631] for a decrease of gamma by a thousandth. Each doubling of the gain must
-therefore lower the norm by at least 0.1 %. A stage that lowers it by less is undone.
+Minimising a norm without limits on the gain leads to useless controllers, because the infimum may lie at infinite gain.
+Starting from the paper's controller I, the gain would grow to [-72240, -82631] for a decrease of gamma by a thousandth. Each
+doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that achieves less is undone.
 """
 
 import math
@@ -13,15 +13,15 @@ import numpy as np
 
 from models.common.arrays import Array
 
-WORTH = 1e-3  # relative decrease of a norm or a goal that a doubling of the gain must reach
-STAGES = 20  # largest number of stages: a growth by 2^20
-SAME = 1e-6  # relative; a smaller change counts as no growth, or as no decrease
+WORTH = 1e-3  # smallest relative decrease of a norm or a goal that justifies a doubling of the gain
+STAGES = 20  # largest number of stages, which allows a growth by 2^20
+SAME = 1e-6  # a relative change smaller than this counts as no growth, or as no decrease
 
 Value = TypeVar("Value")
 
 
 def price(growth: float) -> float:
-    """Returns the relative decrease of the norm that a growth of the gain must reach."""
+    """Returns the smallest relative decrease of the norm that justifies a given growth of the gain."""
     return WORTH * math.log2(growth)
 
 
@@ -32,18 +32,18 @@ def lower_by_growth(
     bought: Callable[[Value, Value], float],
     size: float | None = None,
 ) -> tuple[Array, Value, tuple[float, float] | None]:
-    """Lowers a value from a point, first without growth of the largest entry, then in stages that may double it.
+    """Lowers a value from a starting point, first with a fixed largest entry, then in stages that may double the largest entry.
 
     Args:
         x: point of a landscape.
         value: value at this point.
-        lower: function of a point, its value and a limit on the entries; returns a point and its value.
-        bought: function that returns the relative decrease from one value to another.
-        size: largest entry of the point; computed by default.
+        lower: function that takes a point, its value and a limit on the entries, and returns a better point and its value.
+        bought: function that takes two values and returns the relative decrease from the first to the second.
+        size: largest entry of the point. Default: computed from the point.
 
     Returns:
-        Point, its value, and the decrease and the growth of the stage that was undone. The last is None if no stage was undone,
-        or if that stage gained nothing.
+        Final point, its value, and the decrease and the growth in the stage that was undone. The last item is None if no stage
+        was undone, or if the undone stage brought no decrease.
     """
     size = float(np.abs(x).max()) if size is None else size
     for stage in range(STAGES):

@@ -1,20 +1,22 @@
-"""The norm as a function of the gain: its value, its slope, and smooth functions that bound it from below.
+"""The norm as a function of the gain: the value and slope of the norm, and smooth functions that bound it from below.
 
 A gain K is a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect. N is m q, or
-the number of nonzero entries if a structure fixes the others to zero. The H-infinity norm is a continuous function of the gain.
-The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on edges. For all unit
-vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak. Each (omega, u, v) therefore
-gives a smooth function that bounds the norm from below. This function is called a cut (Apkarian, Noll 2006).
+the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous function of the
+gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on edges. For all
+unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for the singular
+vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This function is
+called a cut (Apkarian, Noll 2006).
 
-The landscape of a discrete plant is that of its continuous image, over the same gains and with the frequencies of the image.
-The measurements of the image contain the force, like those of an accelerometer. The gain that acts on them is (I - K Dyu)^-1 K.
+A discrete plant is represented by the continuous plant into which the bilinear transform maps it, with the same gains but other
+frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The gain that acts on
+them is (I - K Dyu)^-1 K.
 
-If two measurements are large and nearly equal, the gain on their difference may vary by much, and the gain on their sum hardly.
-An example is a slowly drifting reference and the position that follows it. The same occurs if two forces nearly cancel in z. In
-the original coordinates, the norm then has a narrow valley. A change dK of the gain changes z by T_zu dK T_yw w. In suitable
-coordinates there is no valley. Under white noise w, the measurements are then uncorrelated and of equal size. The responses of
-z to white-noise forces are orthogonal and of equal size. For a quadratic cost, the curvature is then the same in all directions
-(natural gradient).
+If two measurements are large and nearly equal, the norm depends strongly on the gain for their sum, but hardly on the gain for
+their difference. An example is a slowly drifting reference and the position that follows it. The same occurs if two forces
+nearly cancel in z. In the original coordinates, the norm as a function of the gain then has a narrow valley. A change dK of the
+gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the measurements
+uncorrelated and of equal size if w is white noise. They also make the responses of z to white-noise forces orthogonal and of
+equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
 """
 
 import contextlib
@@ -33,10 +35,10 @@ from synth.plant.discrete import continuous_image
 from synth.plant.generalized import Plant
 
 # pyright: reportAttributeAccessIssue=false
-# scipy.linalg.lapack is made by f2py and carries no stubs.
+# scipy.linalg.lapack is made by f2py and has no type stubs.
 
-FAR = 1e4  # frequency close to infinity, as a multiple of the fastest pole
-POLES = 0.3  # work for the poles alone, as a share of the work for a norm
+FAR = 1e4  # frequency that counts as close to infinity, as a multiple of the fastest pole
+POLES = 0.3  # work for computing only the poles, as a share of the work for a norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +48,10 @@ class Modes:
     Attributes:
         loop: closed loop from `Landscape.loop`.
         poles: poles of the loop, shape (n,).
-        residues: residues C v w' Bw of all modes, with right and left eigenvectors v and w, shape (n, d r). With residues,
-            frequency responses are fast to compute. None if the eigenvectors lose too many digits.
-        vectors: the right eigenvectors as columns, and the left eigenvectors as the rows of their inverse, shapes (n, n); None
-            if `residues` is None.
+        residues: residues C v w' Bw of all modes, with right and left eigenvectors v and w, shape (n, d r). Residues make
+            frequency responses fast to compute. None if the eigenvectors are too inaccurate.
+        vectors: matrix with the right eigenvectors as columns, and its inverse, whose rows are the left eigenvectors, shapes
+            (n, n); None if `residues` is None.
     """
 
     loop: Plant
@@ -59,7 +61,10 @@ class Modes:
 
     @cached_property
     def far(self) -> Array:
-        """Finite frequency at which the gain is close to that at infinity [rad/s], shape (1,). Cuts need finite frequencies."""
+        """Finite frequency at which the gain is close to the gain at infinity [rad/s], shape (1,).
+
+        Cuts need finite frequencies.
+        """
         return FAR * np.abs(self.poles).max(keepdims=True)
 
     @cached_property
@@ -70,7 +75,7 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class Cuts:
-    """Set of F cuts: functions Re u' T(j omega; K) v of the gain K.
+    """Set of F cuts: smooth functions Re u' T(j omega; K) v of the gain K that bound the norm from below.
 
     Attributes:
         omega: frequencies [rad/s], shape (F,).
@@ -92,14 +97,16 @@ class Cuts:
 
 
 def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
-    """Refines local maxima over frequency. The vertex of the parabola through three points is the next middle point.
+    """Refines local maxima over frequency.
+
+    In each step, the vertex of the parabola through three points becomes the middle point.
 
     Returns:
         The refined frequencies, shape (P,).
 
     Args:
-        gains: function that returns the gain at each frequency; an even function of frequency.
-        left, middle, right: frequencies around each maximum, shape (P,) each.
+        gains: function that returns the gain at each frequency; it must be an even function of frequency.
+        left, middle, right: frequencies below, near and above each of P maxima, shape (P,) each.
         height: gain at each middle frequency, shape (P,).
     """
     for _ in range(3):
@@ -116,13 +123,13 @@ def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, r
     return middle
 
 
-NEAR = 1e-9  # relative; the search for the peak ends if the norm does not exceed a level that is this much higher
-ALIKE = 0.02  # relative; eigenvalues that differ by less count as equal
-MOST_ALIKE = 3  # largest number of singular values per frequency that are considered
+NEAR = 1e-9  # relative; the search for the peak ends if the norm does not exceed the best value by more than this amount
+ALIKE = 0.02  # relative difference below which eigenvalues count as equal
+MOST_ALIKE = 3  # largest number of similar singular values that are considered at a frequency
 
 
 class Work:
-    """Counter of the work of searches, with a limit. The unit is the work of one norm of a loop with 8 states.
+    """Counter of the work that searches perform, with a limit. The unit is the work for one norm of a loop with 8 states.
 
     Unlike a time limit, this count is the same on every machine. The same problem therefore always ends at the same gain.
     """
@@ -132,7 +139,7 @@ class Work:
 
     @property
     def over(self) -> bool:
-        """True if the limit of the work is reached."""
+        """True if the work has reached its limit."""
         return self.done >= self.limit
 
     @property
@@ -142,14 +149,14 @@ class Work:
 
 
 def price(states: int, entries: int) -> float:
-    """Returns the work of one norm, including the slopes and curvatures that a descent over this number of entries needs."""
+    """Returns the work for one norm, including the slopes and curvatures that a descent over this number of entries needs."""
     return (0.4 + 0.6 * (states / 8) ** 2) * (1 + entries / 60)
 
 
 class Landscape:
     """Norms of the closed loops of one plant as a function of the gain.
 
-    The object stores previous peak frequencies, which make the next search shorter but do not change its result.
+    The object stores previous peak frequencies. They shorten the next search, but do not change its result.
     """
 
     def __init__(
@@ -160,8 +167,8 @@ class Landscape:
     ) -> None:
         """Args:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
-        structure: True for the entries of K that may be nonzero, shape (m, q); None for all.
-        work: counter of the norms; by default, a counter without a limit.
+        structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
+        work: counter of the work for norms. Default: a counter without a limit.
         """
         image, self.before = continuous_image(plant)
         A, self.balancing = balance(image.A)
@@ -173,7 +180,7 @@ class Landscape:
         columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(plant.Cy, axis=1)
         rate = float(np.linalg.norm(A, 2)) or 1.0
         columns = np.where(columns > 0, columns, 1.0)
-        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)  # measurements that contain only forces
+        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)  # for measurements that contain only forces
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
         self.free = None if structure is None or np.all(structure) else np.flatnonzero(structure)
@@ -183,7 +190,7 @@ class Landscape:
         self.last_modes: Modes | None = None
 
     def gain(self, x: Array) -> Array:
-        """Returns K of one or more points, shape (..., m, q)."""
+        """Returns the gain K of one or more points, shape (..., m, q)."""
         if self.free is not None:
             some, x = x, np.zeros((*x.shape[:-1], self.scale.size))
             x[..., self.free] = some
@@ -194,23 +201,23 @@ class Landscape:
         return self.of_entries(K / self.scale)
 
     def of_entries(self, values: Array) -> Array:
-        """Converts values per entry of K, shape (..., m, q), to values per coordinate of a point, shape (..., N)."""
+        """Converts values for the entries of K, shape (..., m, q), to values for the coordinates of a point, shape (..., N)."""
         flat = values.reshape(*values.shape[:-2], self.scale.size)
         return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
-        """Returns the equivalent K without Dyu, (I - K Dyu)^-1 K, of points, shape (..., m, q); NaN if it does not exist."""
+        """Returns the equivalent gain without Dyu, (I - K Dyu)^-1 K, for each point, shape (..., m, q); NaN if none exists."""
         K = self.gain(x) - self.before
         if not self.through:
             return K
         if x.ndim == 1:
             return self.after(x) @ K
-        with contextlib.suppress(np.linalg.LinAlgError):  # the equation of one loop has no solution
+        with contextlib.suppress(np.linalg.LinAlgError):  # one of the loop equations has no solution
             return np.linalg.solve(np.eye(self.shape[0]) - K @ self.plant.Dyu, K)
         return np.full_like(K, np.nan)
 
     def after(self, x: Array) -> Array:
-        """Returns (I - K Dyu)^-1 for a point, shape (m, m); NaN if it does not exist."""
+        """Returns (I - K Dyu)^-1 for a point, shape (m, m); NaN if the inverse does not exist."""
         eye = np.eye(self.shape[0])
         if not self.through:
             return eye
@@ -219,15 +226,15 @@ class Landscape:
         return np.full_like(eye, np.nan)
 
     def point_acting(self, K: Array) -> Array:
-        """Returns the point whose equivalent gain without Dyu is K, shape (N,)."""
+        """Returns the point whose gain acts like the gain K without Dyu, shape (N,)."""
         if self.through:
             K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.plant.Dyu, K)
         return self.point(K + self.before)
 
     def loop(self, x: Array) -> Plant:
-        """Returns the plant with the gain of a point closed, u = K y + (a new u). The last result is cached.
+        """Returns the closed loop with the gain K of a point. It has a new input v: u = K y + v. The last result is cached.
 
-        The matrices of the result give the effect of a change of the gain on y, including the effect through Dyu. All entries
+        The matrices of the result describe the effect of a change of the gain, including the effect through Dyu. All entries
         are NaN if the loop equation has no solution.
         """
         key = x.tobytes()
@@ -248,7 +255,7 @@ class Landscape:
         return self.last[1]
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
-        """Returns the largest real part of the poles [rad/s], and its slope, shape (N,).
+        """Returns the largest real part of the poles [rad/s], and its derivatives with respect to the point, shape (N,).
 
         The value is infinite if the loop matrix is not finite.
         """
@@ -282,7 +289,7 @@ class Landscape:
         """Returns the norm and its peak frequency [rad/s]; infinite if the loop is unstable or not finite.
 
         Args:
-            above: limit; the search ends early, with a lower bound, if the norm exceeds it.
+            above: limit; if the norm exceeds the limit, the search ends early and returns a lower bound.
         """
         self.work.done += self.price
         modes = self.modes(x)
@@ -296,7 +303,7 @@ class Landscape:
             gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
                 best, at = gain, float(omega[i])
-            elif turn or best == 0:  # on the first turn, a peak away from all poles may still exceed the gain at infinity
+            elif turn or best == 0:  # in the first iteration, a peak far from all poles may still exceed the gain at infinity
                 break
             if best > above:
                 break
@@ -307,7 +314,7 @@ class Landscape:
         return best, at
 
     def slope(self, x: Array, at: float) -> Array:
-        """Returns the slope of the largest singular value at a frequency, shape (N,)."""
+        """Returns the derivatives of the largest singular value at a frequency with respect to the point, shape (N,)."""
         loop = self.loop(x)
         if not np.isfinite(at):
             U, _, Vh = np.linalg.svd(loop.Dw, full_matrices=False)
@@ -321,10 +328,10 @@ class Landscape:
         return self.of_entries(np.real(np.outer(seen @ loop.B + adjoint @ loop.D, measured) * self.scale))
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
-        """Returns the cuts that equal singular values >= `floor` at given frequencies, and cuts between similar singular values.
+        """Returns cuts for the singular values >= `floor` at given frequencies, and cuts for mixtures of similar singular values.
 
-        The largest value always gives one cut. Any mixture of the vectors of similar values may become the largest, so four
-        mixtures are added.
+        The largest singular value always gives one cut. If singular values are similar, any mixture of their vectors may give
+        the largest value at a nearby point, so four mixtures are added.
         """
         if not len(omega):
             return Cuts(omega, *(np.zeros((0, count), complex) for count in self.plant.Dw.shape))
@@ -345,7 +352,7 @@ class Landscape:
         return Cuts(omega[where], np.concatenate(u), np.concatenate(v))
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
-        """Returns the values of cuts at a point, shape (F,), and their slopes, shape (F, N)."""
+        """Returns the values of cuts at a point, shape (F,), and their derivatives with respect to the point, shape (F, N)."""
         loop = self.loop(x)
         n = len(loop.A)
         shifted = np.broadcast_to(-loop.A, (len(cuts.omega), n, n)).astype(complex)
@@ -359,12 +366,12 @@ class Landscape:
         return values, self.of_entries(slopes * self.scale)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
-        """Returns the weighted sum of the second derivatives of the peaks at which the cuts are, shape (N, N).
+        """Returns the weighted sum of the second derivatives of the peak gains to which the cuts belong, shape (N, N).
 
         A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. This maximum is the eigenvalue of J =
-        [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives its second derivatives over x and omega.
-        Since omega follows its maximum, the Hessian loses one rank. Terms with nearly equal eigenvalues are omitted, because
-        cuts of mixed vectors represent them.
+        [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives of this
+        eigenvalue with respect to x and omega. Since omega follows the maximum, it is eliminated from the Hessian. Terms with
+        nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
         """
         loop = self.loop(x)
         n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
@@ -374,7 +381,7 @@ class Landscape:
         T, Tu, Tw = left @ loop.Bw + loop.Dw, left @ loop.B + loop.D, loop.Cy @ right + loop.Dyw
         Ty = loop.Cy @ R @ loop.B + loop.Dyu
         Tu_rate, Tw_rate = -1j * (left @ R @ loop.B), -1j * (loop.Cy @ R @ right)
-        # First derivatives of T v and T' u over the entries of x, then over omega.
+        # First derivatives of T v and T' u with respect to the entries of x, then with respect to omega.
         seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
         along = self.of_entries(Tu[:, :, :, None] * driven[:, None, None, :] * self.scale)
         back = self.of_entries((seen[:, None, :, None] * Tw.swapaxes(1, 2)[:, :, None, :]).conj() * self.scale)
@@ -414,7 +421,7 @@ class Landscape:
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
         gains = self._gains(modes, omega)
-        around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # the gain is even about zero frequency
+        around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # the gain is an even function of frequency
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
@@ -424,9 +431,9 @@ class Landscape:
         )
 
     def moving(self, omega: Array) -> Array:
-        """Returns True for frequencies at which the peak moves with the gain.
+        """Returns True for each frequency at which a peak moves if the gain changes.
 
-        A peak at zero stays, because the gain is even in frequency.
+        A peak at zero frequency does not move, because the response is an even function of frequency.
         """
         return omega > 0
 
@@ -442,17 +449,18 @@ class Landscape:
         return T.reshape(len(omega), *modes.loop.Dw.shape) + modes.loop.Dw
 
 
-# relative to the largest variance of a combination of measurements or of forces; smaller variances count as this value
+# smallest variance of a combination of measurements or of forces, relative to the largest variance; smaller values count as
+# this value
 SMALLEST = 1e-12
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """Returns balanced coordinates at a stable point x: the matrix M of x + M t, shape (N, N)."""
+    """Returns the matrix M of balanced coordinates t at a stable point x, in which a point is x + M t, shape (N, N)."""
     loop = landscape.loop(x)
     triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
-    # Gramians of controllability from w and of observability from z. At the stability limit, LAPACK moves the poles slightly,
-    # which is accurate enough for a scale.
+    # Gramians of controllability from w and of observability from z. At the stability limit, LAPACK perturbs the poles
+    # slightly; the result is accurate enough for scaling.
     reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")
     seen, other, _ = lapack.dtrsyl(triangle, triangle, -z.T @ z, trana="T", tranb="N")
     measured = _root(y @ (reached / scale) @ y.T)
@@ -464,7 +472,7 @@ def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
 
 def _root(variance: Array) -> Array:
     """Returns the inverse square root of a variance; the identity if the variance is zero or not finite."""
-    if not np.all(np.isfinite(variance)):  # a loop at the stability limit
+    if not np.all(np.isfinite(variance)):  # the loop is at the stability limit
         return np.eye(len(variance))
     sizes, directions = np.linalg.eigh((variance + variance.T) / 2)
     if not sizes[-1] > 0:
@@ -473,7 +481,7 @@ def _root(variance: Array) -> Array:
 
 
 def directions(landscape: Landscape, x: Array, free: Array) -> Array:
-    """Returns balanced directions of the free entries as columns, shape (N, number of free entries).
+    """Returns balanced directions in which only the free entries change, as columns, shape (N, number of free entries).
 
     Args:
         free: indices of the entries of a point that may be nonzero.
@@ -491,7 +499,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns coordinates with the same metric for the free entries only, as a square matrix.
+    """Returns coordinates for the free entries alone, in which lengths are measured as in the coordinates M, as a square matrix.
 
     Raises:
         LinAlgError: M is singular.

@@ -1,19 +1,20 @@
 """Descent on a nonsmooth function: minimises the largest of several terms, within bounds on other terms.
 
-- `descend` is sequential quadratic programming for a minimax problem. The model of a step is the maximum of linear functions
-  that bound the terms from below, plus their curvature. The minimum of this model is the step. If a step is too long, the
-  functions at its end are added to the model, as in bundle methods. If the curvature is unknown or has the wrong sign, the step
+- `descend` is sequential quadratic programming for a minimax problem. The model for a step is the maximum of linear functions
+    that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of this model. If
+    a step is too long, the linear functions at its end are added to the model, as in bundle methods.
+  If the curvature is unknown or has the wrong sign, the step
   length is measured in coordinates in which all directions have equal weight (`balanced_coordinates`).
-- While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). With a factor above the
-  multipliers of the bounds, the sum has the same minimum as the goal within the bounds. A sum of two maxima is the maximum over
-  pairs, so the model keeps its form.
-- `descend_norm` applies this descent to one norm. This descent works in stages, each with its own coordinates and curvature.
+- While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). If this multiple exceeds the
+    Lagrange multipliers of the bounds, the sum has the same minimum as the goal within the bounds. The sum of two maxima is the
+    maximum of all sums of pairs, so the model keeps its form.
+- `descend_norm` applies this descent to one norm, in stages that each have their own coordinates and curvature.
 - `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013).
-  BFGS is fast far from a minimum, and stalls at an edge.
+  BFGS is fast far from a minimum, but it stalls where the function has an edge.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# scipy.linalg.lapack is made by f2py and carries no stubs.
+# scipy.linalg.lapack is made by f2py and has no type stubs.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,17 +29,17 @@ from synth.design.descent.landscape import Landscape, balanced_coordinates
 from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
-STALLED_DECREASE = 1e-4  # smallest decrease over seven rounds that counts, for a function whose values are of order one
+STALLED_DECREASE = 1e-4  # smallest decrease over seven rounds that counts as progress, for a function with values of order one
 
-STAGE = 30  # rounds per stage
-WORTH_A_STAGE = 3e-5  # relative decrease of the norm that a stage must reach, so that another stage follows
-ENDING_DECREASE = 1e-5  # relative decrease of the norm over `OVER` rounds that ends a stage
+STAGE = 30  # number of rounds in a stage
+WORTH_A_STAGE = 3e-5  # smallest relative decrease of the norm in a stage for which another stage follows
+ENDING_DECREASE = 1e-5  # a stage ends if the norm decreases by less than this relative amount over `OVER` rounds
 
-NEAR = 0.7  # share of a limit; larger entries are limited in the first solution already
+NEAR = 0.7  # share of a limit; the first solution already includes the limits on entries that are larger than this share
 
-# relative; a bound that is exceeded by less counts as fulfilled, because the bounds contain a larger margin
+# a bound that is exceeded by less than this relative amount counts as fulfilled, because the bounds contain a larger margin
 BOUND_TOLERANCE = 1e-9
-POINTS = 3  # number of points with cached values: the last point, and those of trial steps
+POINTS = 3  # number of points with stored values: the last point and the points of trial steps
 
 Function = Callable[[Array], tuple[float, Array]]
 
@@ -50,8 +51,9 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
         The last point and its value.
 
     Args:
-        function: function that returns the value and the slope at a point. The value is infinite if the loop is not finite.
-        target: value at which the minimisation ends.
+        function: function that returns the value and the slope at a point. The value is infinite if the matrices of the loop
+            are not finite.
+        target: the minimisation ends at a value below this target.
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """
@@ -94,12 +96,12 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Goal and violation of the bounds at a point.
+    """Value of the goal and violation of the bounds at a point.
 
     Attributes:
-        goal: the largest value of a goal; infinite if a loop is unstable.
+        goal: largest value of all goals; infinite if a loop is unstable.
         excess: relative violation of the worst bound; negative if all bounds are fulfilled.
-        worst: indices of the largest goal and of the worst bound.
+        worst: indices of the largest goal and of the most violated bound.
     """
 
     goal: float
@@ -112,8 +114,8 @@ class Evaluation:
         return self.excess <= BOUND_TOLERANCE
 
 
-Model = list[tuple[int, Linearisation]]  # functions near a point, each with the index of its term
-Cuts = list[tuple[int, Any]]  # identification of each function, with the index of its term
+Model = list[tuple[int, Linearisation]]  # functions that approximate the terms near a point, each with the index of its term
+Cuts = list[tuple[int, Any]]  # data that identifies the functions, with the index of the term to which they belong
 
 
 class MinimaxProblem:
@@ -121,13 +123,13 @@ class MinimaxProblem:
 
     Attributes:
         goals: terms of which the largest is minimised.
-        bounds: terms that may not exceed 1.
+        bounds: terms that must not exceed 1.
         limit: largest absolute value of each entry of a point, shape (N,).
     """
 
     def __init__(self, goals: Sequence[Term], bounds: Sequence[Term], limit: Array) -> None:
         self.goals, self.bounds, self.limit = list(goals), list(bounds), limit
-        self._known: dict[bytes, dict[tuple[int, float], float]] = {}  # values at points, by term and unit
+        self._known: dict[bytes, dict[tuple[int, float], float]] = {}  # stored values of terms at points
 
     def value(self, term: Term, x: Array, above: float = np.inf) -> float:
         """Returns `Term.value` of a term at a point. The values at the last points are cached."""
@@ -146,8 +148,8 @@ class MinimaxProblem:
         """Returns the goal and the violation of the bounds at a point.
 
         Args:
-            above: limit; the evaluation ends early if goal (1 + penalty excess) exceeds it.
-            penalty: factor for the violation.
+            above: limit; the evaluation ends early if goal (1 + penalty excess) exceeds this limit.
+            penalty: factor that multiplies the violation `excess`.
         """
         goal, excess, i, j = 0.0, -1.0, 0, 0
         for k, term in enumerate(self.goals):
@@ -156,7 +158,7 @@ class MinimaxProblem:
             if goal > above:
                 return Evaluation(goal, excess, (i, j))
         for k, term in enumerate(self.bounds):
-            most = above / goal - 1 if goal > 0 else np.inf  # limit of penalty times excess
+            most = above / goal - 1 if goal > 0 else np.inf  # limit for penalty times excess
             beyond = self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1
             excess, j = (beyond, k) if beyond > excess else (excess, j)
             if penalty * excess > most:
@@ -175,7 +177,7 @@ class MinimaxProblem:
         return [(i, self.goals[i].cut(x, evaluation.goal)), *bounds]
 
     def passed(self, x: Array) -> dict[str, float]:
-        """Returns the violated bounds at a point, by name, with the relative violation; the worst is first."""
+        """Returns the relative violations of the violated bounds at a point, by name, in descending order."""
         excess: dict[str, float] = {}
         for term in sorted(self.bounds, key=lambda term: -term.value(x)):
             excess.setdefault(term.name, term.value(x) - 1)
@@ -196,18 +198,19 @@ class MinimaxProblem:
         return [(i, terms[i].reevaluate(x, each)) for i, each in cuts]
 
 
-FIRST, LARGEST = 4.0, 1e6  # initial and largest penalty: relative rise of the goals per relative violation of a bound
-FLAT = 1e-7  # relative decrease over `OVER` rounds below which the descent ends
+FIRST, LARGEST = 4.0, 1e6  # initial and largest penalty: relative increase of the goals per relative violation of a bound
+FLAT = 1e-7  # the descent ends if the relative decrease over `OVER` rounds is smaller
 OVER = 10
 MOST_PAIRS = 400
-LITTLE = 1e-3  # functions with a smaller weight do not contribute to the curvature
+LITTLE = 1e-3  # functions with a smaller weight are neglected in the curvature
 
 
 def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
-    """Minimises the norm from a stable x with |x_i| <= limit_i.
+    """Minimises the norm, starting at a stable point x, subject to |x_i| <= limit_i.
 
-    The descent ends if the norm is at most `enough`, or if a stage hardly lowers it. Every stage computes its own coordinates
-    and starts without curvature. The curvature of the previous stage belongs to other edges, and would only shorten the steps.
+    The descent ends if the norm is at most `enough`, or if a stage hardly lowers the norm. Every stage computes its own
+    coordinates and starts without curvature, because the curvature of the previous stage belongs to other edges and would only
+    shorten the steps.
 
     Returns:
         The final point, and its norm.
@@ -237,7 +240,7 @@ def descend(
 ) -> tuple[Array, Evaluation]:
     """Descends from a point at which all loops are stable.
 
-    The result fulfils the bounds if the start does, or if the descent finds a point that does.
+    The result fulfils the bounds if the starting point fulfils them, or if the descent finds a point that fulfils them.
 
 
     Args:
@@ -245,14 +248,15 @@ def descend(
         rounds: largest number of iterations.
         on_progress: callback that receives every new point and its evaluation.
         enough: value of the goal at which the descent ends.
-        settled: predicted relative decrease below which the descent ends immediately, without another refinement of the model.
-        flat: relative decrease over `OVER` rounds below which the descent ends.
+        settled: the descent ends immediately, without another refinement of the model, if the predicted relative decrease is
+            smaller.
+        flat: the descent ends if the relative decrease over `OVER` rounds is smaller.
 
     Returns:
         The final point, and its evaluation.
     """
     walk = _Walk(minimax, x, M, settled, flat)
-    with up_to_rounding():  # rounding errors may end the descent of a loop at the stability limit
+    with up_to_rounding():  # at the stability limit of a loop, rounding errors may end the descent
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
                 break
@@ -261,12 +265,12 @@ def descend(
 
 
 class _Walk:
-    """The state of one descent."""
+    """Current state of one descent."""
 
     def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float, flat: float) -> None:
         self.minimax, self.x, self.M, self.settled, self.flat = minimax, x, M, settled, flat
         self.evaluation = minimax.evaluate(x)
-        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # scales t so that a step has a size of about one
+        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # scales t so that a typical step has a size of one
             (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
@@ -281,7 +285,7 @@ class _Walk:
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
         """Returns the step that minimises the model, the weights of goals and bounds, and the predicted decrease."""
         (v, s), (c, w) = goals, bounds
-        values = np.append(0.0, self.penalty * c)  # the first value stands for no violated bound
+        values = np.append(0.0, self.penalty * c)  # the first value represents the case that no bound is violated
         slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
@@ -294,7 +298,7 @@ class _Walk:
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
 
     def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Returns the model's functions of the goals and of the bounds, relative and in the coordinates of the descent."""
+        """Returns the linear functions for goals and for bounds, as relative values in the coordinates of the descent."""
         empty, count, goal = np.zeros((0, len(self.x))), len(self.minimax.goals), self.evaluation.goal
         goals, bounds = ([each for i, each in model if (i < count) == which] for which in (True, False))
         (v, s), (c, w) = (
@@ -304,7 +308,7 @@ class _Walk:
         return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
 
     def step(self) -> bool:
-        """Performs one iteration. Returns True if another may follow."""
+        """Performs one iteration. Returns True if another iteration may follow."""
         minimax, x, M = self.minimax, self.x, self.M
         if self.failures > 8 or self.evaluation.goal <= 1e-300:
             return False
@@ -332,11 +336,11 @@ class _Walk:
             there = self.at(x + length * move, allowed)
             if self.merit(there) <= allowed:
                 break
-            if np.isfinite(self.merit(there)):  # the model lacks the functions that are larger there
+            if np.isfinite(self.merit(there)):  # the model lacks the functions that are largest at this point
                 beyond += minimax.cut(x + length * move, there)
                 if not corrected:
-                    # The edges are curved. The model therefore uses the functions at the end of the step (second-order
-                    # correction).
+                    # The edges of the function are curved. The model therefore uses the linear functions at the end of the step
+                    # (second-order correction).
                     corrected = True
                     better = self.corrected(x + move, t)
                     there = self.at(x + better, allowed)
@@ -348,7 +352,7 @@ class _Walk:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
             self.kept_cuts += beyond
             return True
-        # longer steps, if a minimum is far away or at infinity
+        # tries longer steps, because the minimum may be far away or at infinity
         while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):
             needed = self.merit(there) - 0.1 * length * fall * here
             further = self.at(x + 3 * length * move, needed)
@@ -363,11 +367,11 @@ class _Walk:
         return True
 
     def at(self, x: Array, allowed: float) -> Evaluation:
-        """Evaluates a point; ends early if the result can no longer be accepted."""
+        """Evaluates a point; the evaluation ends early if the point can no longer be accepted."""
         return self.minimax.evaluate(x, allowed, self.penalty)
 
     def corrected(self, end: Array, t: Array) -> Array:
-        """Returns the step t again, with the functions as they are at its end, shape (N,)."""
+        """Returns a corrected step t, computed with the functions at the end of the first step, shape (N,)."""
         goal, depth = self.evaluation.goal, self.depth
         count = len(self.minimax.goals)
         model = [(i, term.support(end, goal if i < count else 1.0, depth)) for i, term in enumerate(self.minimax.terms)]
@@ -377,7 +381,10 @@ class _Walk:
         return self.M @ self.lowest((v - s @ t, s), (c - w @ t, w))[0]
 
     def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
-        """Returns the curvature of the functions that are active at the point. Functions of previous cuts do not contribute."""
+        """Returns the curvature of the functions that are active at the point.
+
+        Functions from earlier points do not contribute.
+        """
         total, terms, count = np.zeros((len(self.x), len(self.x))), self.minimax.terms, len(self.minimax.goals)
         share = of_goals[: sum(len(each.values) for i, each in fresh if i < count)].sum()
         start = [0, 0]
@@ -395,12 +402,13 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
 
     The step t minimises max_i (values_i + slopes_i t) + t' hessian t / 2, subject to |x + M t| <= limit.
 
-    The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). With
-    h for the maximum, h + |y|^2 / 2 is, up to a negligible term, the distance from a point far down the axis of h. The first
-    solution includes only limits on entries that are already close to them. Limits that this solution violates are added.
+    The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). Let h
+    be the maximum, and y the step in coordinates with unit Hessian. Then h + |y|^2 / 2 is, up to a negligible term, a distance
+    from a point far down the axis of h. The first solution includes only the limits to which entries are already close. Limits
+    that this solution violates are then added.
 
     Returns:
-        The step t, and the weights of the cuts.
+        The step t, and the weights of the linear functions.
 
     Raises:
         LinAlgError: there is no cut, or rounding prevents a solution.
@@ -412,7 +420,7 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
     far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
     bounds = (values - values.max()) / far + far
-    moves = np.vstack([M, -M]) @ inverse  # changes towards the upper limits, then towards the lower limits
+    moves = np.vstack([M, -M]) @ inverse  # distances to the upper limits, then to the lower limits
     room = np.concatenate([limit - x, limit + x])
     at_limit = room < NEAR * np.tile(limit, 2)
     while True:
@@ -431,7 +439,7 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
 
 
 def _non_negative(matrix: Array, target: Array) -> Array:
-    """Solves non-negative least squares; returns shape (k,) for a matrix of shape (N, k)."""
+    """Solves a non-negative least-squares problem with a matrix of shape (N, k). Returns the solution, shape (k,)."""
     try:
         return optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])[0]
     except (ValueError, RuntimeError) as error:  # the input is not finite, or the iteration does not end
@@ -439,6 +447,6 @@ def _non_negative(matrix: Array, target: Array) -> Array:
 
 
 def convex(curvature: Array, damping: float) -> Array:
-    """Returns a positive definite matrix with the absolute values of the curvatures."""
+    """Returns a positive definite matrix whose eigenvalues are the absolute values of the given curvatures."""
     values, vectors = np.linalg.eigh(curvature)
     return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T

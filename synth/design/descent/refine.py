@@ -1,4 +1,4 @@
-"""`--refine`: descent on the norm from a gain of the LMIs, as long as the decrease justifies the larger gain (`growth.py`)."""
+"""`--refine`: descent on the norm from a gain that LMIs gave, as long as the decrease justifies a larger gain (`growth.py`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,22 +18,22 @@ from synth.design.problem import SEEN
 from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-ROUNDS = 60  # rounds of descent within a stage, which usually ends sooner
-GLANCE = 5  # rounds after which `worth_refining` estimates the decrease
+ROUNDS = 60  # largest number of rounds in a stage; a stage usually ends sooner
+GLANCE = 5  # number of rounds after which `worth_refining` estimates the decrease
 
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """Result of a refinement with its trade-off.
+    """Result of a refinement, with the trade-off between the norm and the size of the gain.
 
     Attributes:
         gain: gain matrix K, shape (m, q).
         before: norm before the refinement.
         after: norm after the refinement.
-        growth: largest entry of the gain after the refinement, divided by that before, in the loop's internal units.
-        refused_stage: relative decrease of gamma in the first stage that was undone, and its growth of the gain. None if a
-            further stage would not lower gamma.
-        what: name of the norm.
+        growth: ratio of the largest gain entries after and before the refinement, in internal units of the loop.
+        refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if another
+            stage would not lower gamma.
+        what: name of the norm that is lowered.
     """
 
     gain: Array
@@ -60,12 +60,12 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
         K: gain of u = K y from which the descent starts, shape (m, q).
-        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
 
     Returns:
-        The refined gain, and the norms before and after.
+        The refined gain, and the norms before and after the refinement.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -90,7 +90,7 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
 
 def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
-    """Performs `refine` on the landscape of a plant. No stage begins after the limit on its work is exceeded."""
+    """Performs `refine` on the landscape of a plant. No new stage begins after the limit of the work is exceeded."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):
@@ -103,8 +103,8 @@ def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
 
     x, norm, refused = lower_by_growth(x, before, lower, lambda norm, reached: 1 - reached / norm)
     first, size = float(np.abs(start).max()), float(np.abs(x).max())
-    # The descent uses the norms of the landscape. The comparison of start and end uses the norms of their own loops, and for a
-    # discrete plant, these norms are also returned.
+    # The descent uses the norms of the landscape. The comparison of start and end uses the norms of the actual closed loops.
+    # For a discrete plant, these norms are also returned.
     gain = landscape.gain(x)
     own_before, own_after = own_norm(plant, K), own_norm(plant, gain)
     first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
@@ -114,14 +114,14 @@ def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
 
 
 def own_norm(plant: Plant, K: Array) -> float:
-    """Returns the norm of the loop of a gain, confirmed by two methods; infinite if the loop is not stable."""
+    """Returns the norm of the closed loop with a gain, confirmed by two methods; infinite if the loop is not stable."""
     loop = plant.closed(static_law(K))
     return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
 
 @numerics()
 def worth_refining(plant: Plant, K: Array) -> float:
-    """Returns a quick lower estimate of the relative decrease of the norm that `refine` would reach, from its first rounds.
+    """Returns a quick, low estimate of the relative decrease of the norm that `refine` would achieve, from its first rounds.
 
     Args:
         K: a stabilising gain, shape (m, q).
@@ -135,7 +135,8 @@ def worth_refining(plant: Plant, K: Array) -> float:
     _, reached = descend_norm(landscape, x, np.full(len(x), size), GLANCE)
     if reached < before * (1 - SEEN):
         return 1 - reached / before
-    # The norm does not fall without growth. The estimate then comes from the first doubling of the gain, if this is worthwhile.
+    # The norm does not decrease without a larger gain. The estimate is then the decrease for the first doubling of the gain, if
+    # it is worthwhile.
     landscape = Landscape(plant)
     x, norm = descend_norm(landscape, x, np.full(len(x), size), ROUNDS)
     _, reached = descend_norm(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
@@ -143,6 +144,6 @@ def worth_refining(plant: Plant, K: Array) -> float:
 
 
 def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
-    """Returns a gain with the same forces that uses only independent measurements, shape (m, len(kept))."""
+    """Returns a gain that uses only independent measurements and gives the same forces, shape (m, len(kept))."""
     left_out = [i for i in range(len(rows)) if i not in kept]
     return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain

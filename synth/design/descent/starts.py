@@ -1,21 +1,22 @@
-"""Starting gains for a search over static gains: random gains of every magnitude, a Riccati equation, and stabilising gains.
+"""Starting gains for a search over static gains: random gains, gains from a Riccati equation, and stabilising gains.
 
-The poles of small matrices take microseconds, but a descent takes tenths of a second. Random gains are therefore drawn from
-every decade of magnitude up to the largest allowed. Every input and every measurement also has its own random scale. Half of
-the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade, the norm is
-computed for some of the stabilising gains.
+Computing the poles of a small matrix takes microseconds, but a descent takes tenths of a second. Random gains are therefore
+drawn from every decade of magnitude up to the largest allowed. Every input and every measurement also has its own random scale.
+Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade, the norm
+is computed for some of the stabilising gains.
 
-The state feedback u = G x with the smallest mean square of z under white noise needs all of x. With the available measurements,
-K C_y comes closest to G on average for K = G X C_y' (C_y X C_y')^-1. X is the covariance of the state in the loop with G. K
-need not stabilise the loop, so this is checked afterwards.
+The state feedback u = G x that minimises the mean square of z under white noise needs all states x. With the available
+measurements, K C_y is closest to G on average if K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the state in the
+loop with G. K may fail to stabilise the loop, so stability is checked afterwards.
 
-If all states are measured, the Riccati equation of the H-infinity norm gives a gain as close to the lower bound as required.
+If all states are measured, the Riccati equation of the H-infinity norm gives a gain whose norm is as close to the lower bound
+as required.
 
-Two descents look for a stabilising gain, from one start after another. Neither is certain to find one, because no fast and
-certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
+Two descents look for a stabilising gain, from one starting point after another. Neither descent is certain to find such a gain,
+because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
 
-- The first descent lowers the largest real part of the poles. This function falls steeply, but it is not Lipschitz continuous,
-  and the descent stops where poles meet.
+- The first descent lowers the largest real part of the poles. This function decreases steeply, but it is not Lipschitz
+    continuous, and the descent stops where poles meet.
 - The second descent lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
   every pole. As the norm falls, the poles move to the left, and the shift follows them.
 """
@@ -34,18 +35,18 @@ from synth.design.full_order.riccati import state_gain
 from synth.plant.generalized import Plant
 from synth.plant.units import size
 
-SMALLEST = -2  # decade of the first random gain, in the landscape's units
-SAMPLES = 1000  # random gains per decade
-WIDE = 30  # number of states above which there are fewer random gains, so that computing their poles takes the same time
+SMALLEST = -2  # decade of the smallest random gains, in the units of the landscape
+SAMPLES = 1000  # number of random gains in each decade
+WIDE = 30  # if there are more states, fewer random gains are drawn, so that computing their poles takes the same time
 FEWEST = 20  # smallest number of random gains
 CLOSER = 24  # number of stabilising gains per decade whose norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call
-SPREAD = 1.5  # decades, in both directions, over which the scale of an input or of a measurement varies
+SPREAD = 1.5  # number of decades, in both directions, over which the scale of an input or of a measurement varies
 SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """Returns the best stabilising random gain of every decade that has one, smallest first; shape (N,) each, as `limit`."""
+    """Returns the best stabilising random gain of each decade that has one, in ascending order of size; shape (N,) each."""
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
@@ -58,12 +59,12 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
 
 
 def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: int) -> Array | None:
-    """Returns the best stable random point around a point, with a random factor for every entry; None if no point is stable.
+    """Returns the best stable point among random points, made by a random factor for each entry; None if no point is stable.
 
     Args:
         x: centre of the random points, shape (N,).
         limit: largest absolute value of each entry, shape (N,).
-        factor: standard deviation of the logarithms of the factors.
+        factor: standard deviation of the logarithms of the random factors.
         seed: seed of the random factors.
     """
     factors = np.exp(factor * np.random.default_rng(seed).standard_normal((_count(landscape), len(x))))
@@ -107,16 +108,17 @@ def _directions(generator: np.random.Generator, count: int, shape: tuple[int, in
     return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
-# additional cost of every state and force, relative to z, so that the Riccati equation has a solution
+# additional costs of every state and force, relative to z, that are tried so that the Riccati equation has a solution
 COUNTS = (1e-8, 1e-4, 1e-2)
-EVERYWHERE = 1e-6  # power of an additional disturbance of every state, relative to that of w, for states that w does not reach
+# power of an additional disturbance of every state, relative to the power of w, for states that w does not affect
+EVERYWHERE = 1e-6
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; fewer if rounding prevents one."""
+    """Returns the points that are closest to state feedbacks from Riccati equations, shape (N,) each."""
     plant = landscape.plant
     A, Cy, C, (n, m) = plant.A, plant.Cy, plant.C, plant.B.shape
-    # unit of the forces in which a force of one moves the states about as fast as the plant does
+    # unit in which a force of one moves the states about as fast as they move without control
     unit = size(A) / size(plant.B)
     B, D = plant.B * unit, plant.D * unit
     noise = plant.Bw @ plant.Bw.T
@@ -138,7 +140,7 @@ def projected_starts(landscape: Landscape) -> list[Array]:
     return starts
 
 
-REGULAR = (0.0, 1e-6, 1e-3)  # relative costs of all forces that are tried until the equation has a solution
+REGULAR = (0.0, 1e-6, 1e-3)  # relative costs of all forces, tried in this order until the equation has a solution
 
 
 def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
@@ -156,18 +158,19 @@ def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
     return []
 
 
-STABLE = -1e-4  # largest real part of the poles, relative to the fastest pole of the plant, at which a point counts as stable
-SHIFT_BEYOND = 0.03  # distance of the shift to the right of the last pole, relative to the fastest pole of the plant
+# a point counts as stable if the largest real part of its poles, relative to the plant's fastest pole, is below this value
+STABLE = -1e-4
+SHIFT_BEYOND = 0.03  # distance of the shift to the right of the rightmost pole, relative to the fastest pole of the plant
 
 MOST_SHIFTS = 40
-ROUNDS = 100  # rounds of the descent on the largest real part
-OF_ALL = 2.0  # work of a norm from every state to every state, relative to that of the plant's norm
-# the descent stops if the largest real part is still above this share of its value this many shifts before
+ROUNDS = 100  # largest number of rounds of the descent on the largest real part
+OF_ALL = 2.0  # work for a norm from every state to every state, relative to the work for the plant's norm
+# the descent stops if the largest real part has not decreased below this share within this number of shifts
 STALLED_SHIFTS = 0.92, 5
 
 
 def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
-    """Yields stable points, at most one per start. The first start is u = 0, and the others are random points.
+    """Yields stable points, at most one for each start. The first start is u = 0, and the other starts are random points.
 
     Args:
         limit: largest absolute value of each entry, shape (N,).
@@ -187,7 +190,7 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
 
 
 def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array:
-    """Lowers the largest real part of the poles of all loops by descent. Returns the final point, shape (N,).
+    """Lowers the largest real part of the poles of all loops by descent, and returns the final point, shape (N,).
 
     The loops are stable at this point if the largest real part is negative.
 
@@ -217,7 +220,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
 
     Args:
         limit: largest absolute value of each entry, shape (N,).
-        patient: True to use only the second descent; otherwise it continues from the end of the first descent.
+        patient: True to use only the second descent; False to start the second descent from the end of the first descent.
     """
     rate = _rate(landscape)
     x = x if patient else lower_poles([landscape], x, np.arange(len(x)))

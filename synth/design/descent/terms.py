@@ -1,6 +1,6 @@
-"""Terms of a minimax problem as functions of the gain. Each has a value, and smooth functions that bound it from below.
+"""Terms of a minimax problem as functions of the gain. Each term has a value, and smooth functions that bound it from below.
 
-A point x is a gain in the coordinates of a `Landscape`, which are the same for all terms of a problem.
+A point x is a gain in the coordinates of a `Landscape`. These coordinates are the same for all terms of a problem.
 """
 
 from abc import ABC, abstractmethod
@@ -15,14 +15,14 @@ from synth.design.descent.landscape import Cuts, Landscape
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Set of F smooth functions that bound a term from below near a point.
+    """Set of F smooth functions that bound a term from below near a point, with their values and derivatives.
 
     Attributes:
         values: values at the point, shape (F,).
-        slopes: slopes at the point, shape (F, N).
-        touching: True for functions that equal a local maximum of the term at the point, shape (F,). Only these contribute to
-            the curvature.
-        cuts: data that identifies the functions, in a format of the term.
+        slopes: derivatives at the point with respect to its N entries, shape (F, N).
+        touching: True for functions that equal a local maximum of the term at the point, shape (F,). Only these functions
+            contribute to the curvature.
+        cuts: data that identifies the functions; each type of term has its own format.
     """
 
     values: Array
@@ -32,10 +32,10 @@ class Linearisation:
 
 
 class Term(ABC):
-    """Scalar function of the gain that is minimised or bounded.
+    """Function of the gain with a scalar value that is minimised or bounded.
 
     Attributes:
-        unit: value that counts as one: a bound, or the best known value.
+        unit: reference value, relative to which values are given: a bound, or the best known value.
         name: description of the bounded quantity.
     """
 
@@ -44,21 +44,21 @@ class Term(ABC):
 
     @abstractmethod
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value at x in its unit.
+        """Returns the value at x divided by the unit.
 
-        If the value exceeds `above`, it may return a lower bound; infinite if the loop is unstable.
+        If the value exceeds `above`, the method may return a lower bound. The value is infinite if the loop is unstable.
         """
 
     @abstractmethod
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the functions whose values at x are at least (1 - depth) times the value of the term."""
+        """Returns those functions whose values at x are at least (1 - depth) times the value of the term."""
 
     @abstractmethod
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the functions that `Linearisation.cuts` identifies at another point."""
+        """Evaluates the functions that `Linearisation.cuts` identifies at another point."""
 
     def cut(self, x: Array, value: float) -> Any:
-        """Returns the cuts of the functions that reach the value that `value` last returned, at the same point x."""
+        """Returns the cuts of the functions that attain the last result of `value`, at the same point x."""
         return self.support(x, value, 0.0).cuts
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
@@ -72,7 +72,7 @@ class Term(ABC):
 
 
 class NormTerm(Term):
-    """Largest gain from w to z of one plant, in the frequency band of a landscape."""
+    """Largest gain from w to z of one closed loop, in the frequency band of a landscape."""
 
     def __init__(self, landscape: Landscape, unit: float = 1.0, name: str = "") -> None:
         self.landscape, self.unit, self.name = landscape, unit, name
@@ -95,7 +95,7 @@ class NormTerm(Term):
         return self.landscape.cuts(x, omega[np.isfinite(omega)], value * self.unit)
 
     def reevaluate(self, x: Array, cuts: Cuts) -> Linearisation:
-        """Returns the gains at the same frequencies at another point. These gains need not be local maxima."""
+        """Returns the gains for another point x at the same frequencies, where the gains need not be local maxima."""
         return self._made(x, cuts, touching=False)
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:

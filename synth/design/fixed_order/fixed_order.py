@@ -1,15 +1,15 @@
 """Design of laws with a given order or structure for the smallest norm, by descent from several starts.
 
-A law with k states is also a law with k + 1 states, so the search increases the order step by step from a static gain. The
-search for each order starts from
+A law with k states is a special case of a law with k + 1 states, so the search increases the order step by step, beginning with
+a static gain. For each order, the starting points of the search are
 
-- reduced laws of full order (`reduction.py`): laws close to the smallest norm, and slower laws;
-- the law with one state less, with an additional state that receives the measurements but has no effect yet;
+- full-order laws, reduced to this order (`reduction.py`): laws with nearly the smallest norm, and slower laws;
+- the law with one state less, to which a state is added that receives the measurements but has no effect yet;
 - random laws of every magnitude, if none of these laws is stable.
 
-The search is that of static gains (`design/static.py`). The plant then includes the law's states, and the gain has the zeros
-that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
-smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
+The search is the same as for static gains (`design/static.py`), but the plant includes the law's states, and the gain has the
+zeros that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated
+with a smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
 allowed.
 """
 
@@ -48,16 +48,18 @@ from synth.plant.generalized import Plant, check_inputs, check_posed
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import speed
 
-# limits on the entries of a gain, in units in which 1 moves poles as fast as the plant's; the first that is slow enough counts
+# limits on the entries of a gain, tried in this order until the poles are slow enough. In these units, a gain of 1 moves poles
+# to about the speed of the plant's own poles
 LIMITS = (100.0, 10.0, 3.0)
-AT_LIMIT = 0.999  # share of a limit; an entry above it counts as stopped by the limit
-WIDER = (1e4, 100.0, 10.0)  # factors for a limit that stopped a descent, with which the descent continues
+AT_LIMIT = 0.999  # an entry above this share of a limit counts as stopped by the limit
+# if a limit stopped a descent, the descent continues with the limit multiplied by one of these factors
+WIDER = (1e4, 100.0, 10.0)
 POLES = (0.1, 1.0, 10.0)  # poles of an additional state, relative to the plant's speed
-READS = 0.1  # gain from the measurements to an additional state, in the same units
-SHARES = (1e-1, 1e-2, 1e-3)  # shares of noise and cost in the design of full-order laws
-MARGINS = (1e-2, 1e-1, 1.0)  # relative distances of these laws from the smallest feasible gamma
-STARTS_OF_A_KIND = 4  # number of starts per origin that descend
-FEW = 2  # number of stabilising starts of a static gain, if the law may have states
+READS = 0.1  # gain from the measurements to an additional state, in the units of `LIMITS`
+SHARES = (1e-1, 1e-2, 1e-3)  # shares of noise and cost that are added in the design of full-order laws
+MARGINS = (1e-2, 1e-1, 1.0)  # distances of gamma above the smallest feasible gamma, in the design of full-order laws
+STARTS_OF_A_KIND = 4  # number of starts from which descents begin, per origin of starts
+FEW = 2  # number of stabilising starts that are sought for a static gain if the law may also have states
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # shifts of the poles of a law, relative to the plant's speed
 SEED = 20261126
 NO_LAW = "no law of this structure with a stable loop was found; measure more signals, or allow more states"
@@ -66,7 +68,7 @@ ONE_STATE = LawStructure(1)
 
 
 class End(NamedTuple):
-    """Law at the end of a search, the start that led to it, as text, and its certificate."""
+    """Law at the end of a search, its certificate, and a text about the start that led to it."""
 
     law: LinearLaw
     origin: str
@@ -85,27 +87,28 @@ def fixed_order_design(
     on_found: Callable[[LinearLaw], None] = lambda law: None,
     work: Work | None = None,
 ) -> DesignResult:
-    """Designs the law of a given order or structure with the smallest norm that descents find.
+    """Designs a law of a given order or structure, with the smallest norm that descents find.
 
     Args:
         plant: generalised plant with n states, m inputs and q measurements, continuous or discrete. Only a continuous plant may
             have Dyu.
         structure: structure of the law.
-        lower_bound: lower bound on the norm of every controller from these measurements; computed by default.
+        lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
         states: names of the states, for messages.
         stable: True if the law itself must be stable.
-        as_run: function that converts a designed law to the law that runs, as in `full_order_design`.
-        known: laws of this structure, also with fewer states. If laws are given, the search starts only from these laws.
-        on_found: function that receives the best law of the previous order before the search for the next order.
-        work: counter of the norms. If its limit is exceeded, the best law so far is returned. The default limit is about 14 s
-            of processor time for a plant with 8 states.
+        as_run: function that converts a designed law to the law that is executed, as in `full_order_design`.
+        known: laws of this structure that were already found; they may have fewer states. If laws are given, the search starts
+            only from these laws.
+        on_found: function that is called with the best law of each order before the search for the next order.
+        work: counter of the work for norms. If its limit is exceeded, the best law found so far is returned. The default limit
+            is about 14 s of processor time for a plant with 8 states.
 
     Returns:
         The law with its certificate, and the start that led to it. The law may have fewer states than the structure allows.
 
     Raises:
-        InputError: a matrix does not fit the plant, or the order exceeds that of the plant.
-        InfeasibleError: no law of this type stabilises the plant; the message describes the mode.
+        InputError: a matrix does not fit the plant, or the law would have more states than the plant.
+        InfeasibleError: no law of this type stabilises the plant; the message describes the mode that cannot be stabilised.
         DesignError: no law was found.
 
     Example:
@@ -160,13 +163,13 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> st
 
 
 def gains_text(structure: LawStructure, law: LinearLaw) -> str:
-    """Returns the gains of a PI or PID law as in `pid` of a vehicle file, one table per force."""
+    """Returns the gains of a PI or PID law in the format of `pid` in a vehicle file, one table per force."""
     filter = {FILTER: structure.filter} if structure.kind == PID else {}
     return pid_tables([dict(zip(GAINS, each, strict=False)) | filter for each in gains_on_filters(structure, law)])
 
 
 class _Search:
-    """Search for one plant."""
+    """Search for a law of given order or structure, for one plant."""
 
     def __init__(
         self,
@@ -184,7 +187,7 @@ class _Search:
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
-        """Raises an InfeasibleError if a single mode, including that of an integrator, prevents every law from stabilising."""
+        """Raises an InfeasibleError if a single mode, possibly of an integrator, makes stabilisation impossible for every law."""
         if reasons := "; ".join(stabilisability_failures(self.plant, states)):
             raise InfeasibleError(reasons)
         if structure.kind:
@@ -209,7 +212,7 @@ class _Search:
     ) -> End:
         """Searches order by order, and returns the law with the smallest norm; see `fixed_order_design` for the arguments.
 
-        The law of each order is also a start for the next order.
+        The law found for each order is also a starting point for the next order.
         """
         if structure.kind:
             return self.of_filters(structure, known)
@@ -241,9 +244,10 @@ class _Search:
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:
-        """Designs a PI or PID law by a descent that keeps at least a tenth of the decay rate of its start.
+        """Designs a PI or PID law by a descent that keeps the decay rate at no less than a tenth of its initial value.
 
-        Without this condition the integral gain often tends to zero, because the norm over all frequencies does not require it.
+        Without this condition, the integral gain often tends to zero, because the norm over all frequencies does not require an
+        integral.
 
         Raises:
             DesignError: no gain makes the loop stable.
@@ -269,7 +273,7 @@ class _Search:
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
         """Returns full-order laws: slow laws, and faster laws closer to the lower bound.
 
-        The list is empty if forces act directly on measurements.
+        The list is empty if measurements contain the control forces.
 
         Args:
             best: True to include the full-order design itself.
@@ -293,7 +297,10 @@ class _Search:
         return laws
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
-        """Reduces a full-order law to laws of a structure. If each force has its own law, each is reduced separately."""
+        """Reduces a full-order law to laws of a structure.
+
+        If each force has its own law, the law of each force is reduced separately.
+        """
         reduce = partial(reductions, self.plant)
         if structure.rows is None:
             return [*reduce(full, structure.order)]
@@ -304,14 +311,17 @@ class _Search:
         return [_sum(laws) for laws in zip(*each, strict=False)]
 
     def filled(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws of a structure from a law with at most as many states.
+        """Returns laws with the number of states of a structure, made from a law that may have fewer states.
 
-        A full-order law may have fewer states than its order.
+        Even a full-order law may have fewer states than the plant.
         """
         return [law] if law.states == structure.states(len(law.D)) else self.appended(structure, law)
 
     def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws with further states and the same loop. The new states receive the measurements, but have no effect."""
+        """Returns laws with additional states and the same closed loop.
+
+        The new states receive the measurements, but have no effect.
+        """
         (m, q), rows, dt = law.D.shape, structure.rows, self.plant.dt
         count = m if rows is not None else 1
         size = law.states // count
@@ -345,16 +355,17 @@ class _Search:
         whole: bool = True,
         sought: int = 0,
     ) -> End:
-        """Returns the law with the smallest norm that the search finds, slow enough for an actuator if possible.
+        """Returns the law with the smallest norm that the search finds, if possible with poles slow enough for an actuator.
 
         Args:
-            starts: laws of this structure, or with fewer states, each with a name. If none is stable, other starts are used.
-            origin: name of the start in the result; by default that of the best start.
+            starts: laws of this structure, possibly with fewer states, each with a name. If none of their loops is stable,
+                other starts are used.
+            origin: name of the start in the result. Default: the name of the best start.
             whole: True to run the search to its end; False for its first descents only.
-            sought: number of stabilising starts that are tried if none of `starts` is stable.
+            sought: number of stabilising starts that are sought if none of `starts` is stable.
 
         Raises:
-            DesignError: no start is stable.
+            DesignError: no starting point has a stable loop.
         """
         problem = structured_gain(structure, self.plant)
         states = len(problem.plant.A) - len(self.plant.A) if problem.filters is None else 0
@@ -387,10 +398,10 @@ class _Search:
         return slowest
 
     def further(self, problem: StructuredGain, states: int, best: Candidate, limit: float, end: End) -> End:
-        """Continues a descent that a limit on the entries stopped.
+        """Continues a descent that was stopped by a limit on the entries.
 
-        Returns the new law if its norm is lower and it is slow enough. In a chain of integrators, a pole moves with a root of
-        the entry. A larger entry need not make it too fast.
+        Returns the new law if its norm is lower and its poles are slow enough. In a chain of integrators, a pole is
+        proportional to a root of the gain entry, so a larger entry need not make the pole too fast.
         """
         for wider in WIDER:
             search = self.of(problem, states, wider * limit)
@@ -406,7 +417,7 @@ class _Search:
     def beyond_rounding(self, law: LinearLaw, origin: str) -> End:
         """Returns a law with its certificate.
 
-        If a pole without effect stays at 0, the poles of the law are shifted slightly to the left.
+        If a pole without effect remains at 0, the poles of the law are shifted slightly to the left.
         """
         end = End(law, origin, self.certified(law))
         for shift in SHIFTS * bool(law.states and np.any(end.certificate.stability.on_axis)):
@@ -418,7 +429,7 @@ class _Search:
         return end
 
     def made_stable(self, problem: StructuredGain, laws: Sequence[LinearLaw]) -> LinearLaw | None:
-        """Returns the best law that is itself stable, by descent from the stable ones of `laws`; None if no law is stable."""
+        """Returns the best law that is itself stable, found by descent from stable laws in `laws`; None if no law is stable."""
         fits = [law for law in laws if not self.as_run(law).growth]
         if laws[0] in fits[:1]:
             return laws[0]
@@ -434,6 +445,6 @@ class _Search:
 
 
 def _sum(laws: Sequence[LinearLaw]) -> LinearLaw:
-    """Returns the sum of laws, each with its own states."""
+    """Returns the law whose output is the sum of the outputs of several laws; it has all their states."""
     A, D = np.asarray(linalg.block_diag(*(law.A for law in laws))), np.sum([law.D for law in laws], axis=0)
     return LinearLaw(A, np.vstack([law.B for law in laws]), np.hstack([law.C for law in laws]), D, laws[0].sample_period)

@@ -1,9 +1,10 @@
 """Conversion of a law with a given structure to a static gain of a larger plant, and back.
 
-A law with k states is u = D y + C x_c, v = B y + A x_c on the plant with k integrators x_c' = v (`plant/augmented.py`). The
-gain of this law is [D, C; B, A]. If each force has its own law, this gain is block diagonal, up to the order of rows and
-columns. PI and PID laws are static gains on the outputs of fixed filters: y, its integral, and its filtered derivative. Every
-structure is thus a gain in which some entries are free and the others are zero.
+A law with k states is u = D y + C x_c, v = B y + A x_c for the plant to which k integrators x_c' = v are added
+(`plant/augmented.py`). As a static gain, this law is [D, C; B, A]. If each force has its own law, this gain is block diagonal
+after sorting its rows and columns. PI and PID laws are static gains on the outputs of fixed filters: y, its integral, and its
+filtered derivative. Every structure is thus represented by a gain in which some entries are free and the other entries are
+zero.
 """
 
 from dataclasses import dataclass, replace
@@ -22,12 +23,12 @@ SWEEPS = 10  # iterations of balancing
 
 @dataclass(frozen=True, eq=False)
 class StructuredGain:
-    """Plant for which a law of a given structure is a static gain.
+    """Larger plant, for which a law of a given structure is a static gain.
 
     Attributes:
         plant: plant with n + k states, and the measurements of the gain.
-        free: True for entries of the gain that may be nonzero, shape (m + k, q + k). With filters, the shape is (m, number of
-            filter outputs).
+        free: True for entries of the gain that may be nonzero, shape (m + k, q + k); if there are filters, the shape is (m,
+            number of filter outputs).
         filters: filters of the measurements, if the gain is a gain on their outputs; None if the gain is [D, C; B, A].
         shape: shape of the law's D, (m, q).
     """
@@ -76,7 +77,7 @@ def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
 
 
 def _on_filters(structure: LawStructure, rows: Array, plant: Plant) -> StructuredGain:
-    """Returns the plant with the filters of PI or PID after its measurements.
+    """Returns the plant with the filters of a PI or PID law connected to its measurements.
 
     For a discrete plant, the filters are discrete.
     """
@@ -101,7 +102,7 @@ def _on_filters(structure: LawStructure, rows: Array, plant: Plant) -> Structure
 
 
 def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
-    """Returns the gains kp, ki and (for PID) kd of a law with this structure, one row per force."""
+    """Returns the gains kp, ki and, for PID, kd of a law with this structure, one row for each force."""
     rows = np.array(structure.rows, dtype=float)
     filters = _filters(structure, rows, law.sample_period)
     parts = len(filters.D) // len(rows)
@@ -110,22 +111,28 @@ def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
 
 
 def _on(filters: LinearLaw, law: LinearLaw) -> Array:
-    """Returns the gain on the filter outputs that equals a law with the same states. The filter outputs are independent."""
+    """Returns the gain on the filter outputs that is equivalent to a law with the same states.
+
+    The filter outputs are independent.
+    """
     made = np.hstack([filters.C, filters.D])
     return np.linalg.lstsq(made.T, np.hstack([law.C, law.D]).T, rcond=None)[0].T
 
 
 def _filters(structure: LawStructure, rows: Array, period: float | None) -> LinearLaw:
-    """Returns the filters of PI or PID for all forces, from all measurements; discrete filters if a period is given."""
+    """Returns the filters of the PI or PID laws for all forces, from all measurements.
+
+    The filters are discrete if a period is given.
+    """
     one = pid_filter(structure.kind, structure.filter)
     all_of = side_by_side(one if period is None else one.sampled(period), len(rows))
     return replace(all_of, B=all_of.B @ rows, D=all_of.D @ rows)
 
 
 def in_equal_units(landscape: Landscape, x: Array, states: int) -> Array:
-    """Returns an equivalent point where row and column of each state have the same norm (Osborne 1960), shape (N,).
+    """Returns an equivalent point at which row and column of each law state have the same norm (Osborne 1960), shape (N,).
 
-    Laws that differ only in the units of their states have the same loop. This point has the smallest entries.
+    Laws that differ only in the units of their states give the same loop. Among these laws, the result has the smallest entries.
     """
     if not states:
         return x

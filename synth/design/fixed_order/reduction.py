@@ -1,9 +1,11 @@
-"""Laws with fewer states and nearly the same response, by several reductions. Descent continues from the best one.
+"""Laws with fewer states and nearly the same response, from several methods of reduction. Descent continues from the best law.
 
-- Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept.
+- Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept unchanged.
 - Truncation with balancing in the closed loop (Enns 1984, with the loop as weights). The Gramians describe how w excites the
-  law's states, and how these affect z. The law itself may be unstable.
-- Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are in equilibrium instead of zero.
+    law's states, and how these states affect z.
+  The law itself may be unstable.
+- Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium instead of
+    being zero.
 
 None of these methods guarantees a stable loop, so the caller must check the loop.
 """
@@ -23,7 +25,7 @@ from synth.plant.generalized import Plant
 
 
 def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
-    """Yields laws with k states, reduced from a law with at least as many states.
+    """Yields laws with k states, reduced from a law with k or more states.
 
     A law with at most k states is returned unchanged.
     """
@@ -57,7 +59,7 @@ def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
 
 
 def bilinear(law: LinearLaw, period: float) -> LinearLaw:
-    """Returns the discrete law for which `continuous` returns this law (Tustin's map)."""
+    """Returns the discrete law whose continuous counterpart by Tustin's method is the given law."""
     if not law.states:
         return LinearLaw(law.A, law.B, law.C, law.D, period)
     turned, root = np.linalg.inv(np.eye(law.states) - period / 2 * law.A), np.sqrt(period)
@@ -74,14 +76,14 @@ def bilinear(law: LinearLaw, period: float) -> LinearLaw:
 def _gramian(A: Array, B: Array, dt: float | None) -> Array:
     square = B @ B.T
     with warnings.catch_warnings():
-        # poles that nearly cancel give a poor reduction, which is one of several
+        # poles that nearly cancel give a poor reduction, but other methods follow
         warnings.simplefilter("ignore", RuntimeWarning)
         gramian = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
     return (gramian + gramian.T) / 2
 
 
 def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:
-    """Yields the law without the states of small balanced Gramians, first with these at zero, then in equilibrium."""
+    """Yields the law without the states of small balanced Gramians: these states are first zero, then in equilibrium."""
     roots = [directions * np.sqrt(np.maximum(sizes, 0.0)) for sizes, directions in map(np.linalg.eigh, (reached, seen))]
     left, sizes, right = np.linalg.svd(roots[1].T @ roots[0])
     kept = np.maximum(sizes, 1e-14 * sizes[0] if sizes[0] > 0 else 1.0)

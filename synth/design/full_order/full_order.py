@@ -1,9 +1,9 @@
-"""Full-order H-infinity output feedback: as many states as the plant, and a norm close to the lower bound for all controllers.
+"""Full-order H-infinity output feedback: a law with as many states as the plant, and a norm close to the lower bound.
 
-The laws come from Riccati equations (`riccati.py`). If their norm stays above the lower bound, or rounding prevents its proof,
-descents are tried in addition. The best law that can be proved is returned. The central law is one of a family of laws. If its
-regularisation raises the norm, another law may be closer to the bound and slower. Controllers with fewer states, down to static
-gains, also count as full-order controllers.
+The laws come from Riccati equations (`riccati.py`). If their norm stays above the lower bound, or rounding prevents a proof,
+descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati equations is one of
+a family of laws. If its regularisation raises the norm, another law of the family may be closer to the bound and also slower. A
+controller with fewer states, even a static gain, also counts as a full-order controller.
 
 A discrete plant is mapped to a continuous plant for the design.
 """
@@ -34,22 +34,22 @@ from synth.plant.generalized import Plant, check_inputs, check_posed, gain_law, 
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 RICCATI = "Riccati equations for the least norm"
-SINGULAR = 1e-12  # relative; a smaller value counts as zero
+SINGULAR = 1e-12  # relative size below which a value counts as zero
 
 
 def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLaw:
-    """Converts a law for the continuous image of a discrete plant to a law for the discrete plant, with the same closed loop.
+    """Converts a law for the continuous counterpart of a discrete plant to a law for the discrete plant, with the same loop.
 
-    The measurements of the image contain Dyu u. The law first subtracts this part. Tustin's map then gives the discrete law,
-    and the gain that was closed before is added.
+    The measurements of the continuous plant contain Dyu u, which the law first subtracts. Tustin's method then gives the
+    discrete law, to which the gain K0 is added.
 
     Args:
-        law: law in continuous time on y = C_y x + Dyw w of the image.
+        law: law in continuous time on the measurements y = C_y x + Dyw w of the continuous plant.
         image, K0: result of `continuous_image`.
         dt: sample period [s].
 
     Raises:
-        DesignError: the law is infinite at s = infinity, which Tustin's map takes to z = -1.
+        DesignError: the law is infinite at s = infinity, which Tustin's method maps to z = -1.
         LinAlgError: the law has a pole at 2 / dt.
     """
     A, B, C, D = law.A, law.B, law.C, law.D
@@ -67,11 +67,11 @@ def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLa
     return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + K0, dt)
 
 
-BEYOND = 10.0  # multiple of the gain that moves poles to the allowed speed
-SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # factors for a gain, 5 % apart
-STAGES, ROUNDS = 20, 60  # largest number of stages of the descent of a law, and rounds per stage
-LEAST_FALL = 3e-4  # relative; the descent ends if a stage lowers the norm by less
-MOST = 100  # largest number of entries of a law for which a descent takes only seconds
+BEYOND = 10.0  # largest gain that is tried, as a multiple of the gain that moves poles to the allowed speed
+SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # factors that reduce a gain in steps of 5 %
+STAGES, ROUNDS = 20, 60  # largest number of stages in the descent of a law, and of rounds in each stage
+LEAST_FALL = 3e-4  # the descent ends if a stage lowers the norm by less than this relative amount
+MOST = 100  # largest number of entries of a law for which a descent takes no more than seconds
 
 
 def numbers(search: RiccatiSearch) -> int:
@@ -81,12 +81,13 @@ def numbers(search: RiccatiSearch) -> int:
 
 
 def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
-    """Improves a law by descent over laws of its order. Returns the law at the end of each stage; an empty list if all fail.
+    """Improves a law by descent over laws of the same order. Returns the law at the end of each successful stage.
 
     Args:
-        search: search on the plant; its internal units are used.
+        search: search for laws for the plant; the internal units of this search are used.
         start: law from which the descent starts.
-        fastest: largest allowed pole, relative to the plant's own speed. If the start is faster, the limit is its speed.
+        fastest: largest allowed pole, relative to the plant's own speed. If the starting law is faster, its own speed is the
+            limit.
     """
     if not start.own.states:
         return []
@@ -99,7 +100,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     landscape = Landscape(own.with_states(start.own.states))
     x, enough = landscape.point(law_gain(start.own)), search.bound * (1 + BOUND_TOLERANCE)
     norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
-    # the first stage allows no growth of the entries, each further stage a factor of two
+    # in the first stage, the largest entry must not grow; in each further stage, it may double
     for stage in range(STAGES if np.isfinite(norm) else 0):
         most = float(np.abs(x).max()) * (2 if stage else 1)
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
@@ -115,12 +116,12 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
 
 
 def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[TradeOffPoint]:
-    """Returns a static gain, and the best multiple of it that is slow enough; an empty list if no gain stabilises the plant.
+    """Returns a static gain and its best multiple that is slow enough; an empty list if no gain stabilises the plant.
 
     Args:
-        search: search on the plant; its internal units are used.
+        search: search for laws for the plant; the internal units of this search are used.
         fastest: largest allowed pole, relative to the plant's own speed.
-        rival: norm of another law, in the given units. The search ends early for a gain far above it.
+        rival: norm of another law, in the given units. The search ends early if the norm of a gain is far above this norm.
     """
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant):
@@ -131,14 +132,14 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
         gain = static_output_feedback(own.plant, None, largest, LowerBound(search.bound), rival=rival * own.norm).gain
         points.append(search.judged(0.0, static_law(gain)))
-        # If the gain is too fast, a slower gain lies on the line from no control to it.
+        # If the poles with this gain are too fast, a slower gain lies on the line between no control and this gain.
         fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
         points.append(lowest(each for each in fractions if each is not None and each.speed_up <= fastest))
     return [each for each in points if each is not None]
 
 
-# multiple of 1/dt: a pole at z = -1/3 on the map, twice as fast as z = 0; an actuator that sets a force in each sample can
-# follow
+# fastest allowed pole of a discrete loop, as a multiple of 1/dt in the continuous counterpart. It corresponds to z = -1/3,
+# twice as fast as z = 0. An actuator that sets a force at each sample can follow
 DEADBEAT = 4.0
 
 
@@ -154,33 +155,33 @@ def full_order_design(
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     fastest_pole: Positive | None = None,
 ) -> DesignResult:
-    """Designs a full-order controller with a norm within 0.1 % of the lower bound, if possible stable and slow.
+    """Designs a full-order controller with a norm within 0.1 % of the lower bound; if possible, itself stable and slow.
 
-    If no such controller is found, the result is the closest controller found.
+    If no such controller is found, the result is the controller whose norm is closest to the bound.
 
-    Closed-loop poles faster than 100 times the plant's own speed must be worthwhile: ten times the speed must lower the norm by
-    at least 0.1 %.
+    Closed-loop poles that are more than 100 times as fast as the plant must be worthwhile: each tenfold increase in speed must
+    lower the norm by at least 0.1 %.
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n); that of the plant by default.
-        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
-        lower_bound: lower bound on the norm of every controller from these measurements; computed by default.
+        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
         states: names of the states, for messages.
-        fastest: limit on the magnitude of the closed-loop poles, relative to the plant's own speed; for a continuous plant.
+        fastest: for a continuous plant, limit on the magnitude of the closed-loop poles, relative to the plant's own speed.
         stable: True if the law itself must be stable.
-        as_run: function that converts a designed law to the law that runs, for example for a law that subtracts forces from its
-            measurements.
+        as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
+            from its measurements.
         fastest_pole: limit on the magnitude of the closed-loop poles [rad/s]; None for no limit.
 
     Returns:
-        The law, its certificate, and the Pareto front of norm and speed as `trade`.
+        The law, its certificate, and the trade-off between norm and speed as a Pareto front in `trade`.
 
     Raises:
         InputError: a matrix does not fit the plant, no disturbance acts on it, or z is zero.
-        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode.
-        DesignError: no law was found with a loop that is stable despite rounding, or slow enough, or with a law that is itself
-            stable.
+        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
+            be stabilised.
+        DesignError: no law was found whose loop is stable despite rounding and slow enough, or no such law that is itself stable.
 
     Example:
         >>> from synth import GeneralizedPlant, full_order_design
@@ -293,7 +294,7 @@ def riccati(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
-    """Returns the cost of a law that is itself stable, compared with an unstable law, as text."""
+    """Returns a text that compares a law that is itself stable with an unstable law."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "the norm does not rise" if share <= WITHIN else f"the norm rises by {percent(share)}"
@@ -303,13 +304,13 @@ def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw
 
 
 def _slowest(law: LinearLaw) -> float:
-    """Returns the real part of a law's slowest pole, in continuous time [1/s]."""
+    """Returns the real part of a law's slowest pole, converted to continuous time [1/s]."""
     poles = np.linalg.eigvals(law.A)
     return float(poles.real.max()) if law.sample_period is None else float(np.log(np.abs(poles).max()) / law.sample_period)
 
 
 def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBound) -> str:
-    """Returns the distance of a controller to the lower bound, and the cost of a closer one, as text; empty if it is close."""
+    """Returns a text about a controller's distance to the lower bound, and the cost of a closer one; empty if it is close."""
     bound = below.gamma
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
@@ -324,7 +325,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBou
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Returns the sample period that a fast pole requires, and the cost of a slower law, as text; empty if no pole is fast."""
+    """Returns a text about the sample period that a fast pole requires and the cost of a slower law; empty if none is fast."""
     if best.excess == 1:
         return ""
     slower = next((each for each in reversed(trade) if each.excess == 1), None)
@@ -336,6 +337,6 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
 
 
 def _upwards(pole: float) -> float:
-    """Returns the magnitude of a pole with two digits, rounded up."""
+    """Returns the magnitude of a pole, rounded up to two digits."""
     unit = 10.0 ** (np.floor(np.log10(pole)) - 1)
     return float(np.ceil(pole / unit) * unit)

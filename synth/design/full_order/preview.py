@@ -1,15 +1,16 @@
 """Preview LQ control: the smallest mean square of z if the disturbance is known in advance (Tomizuka 1975; Hac 1992).
 
-Here z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are those of the Riccati equation
-of LQR. With R = D'D and A_K = A + B K, the force is
+Here z = C x + D u, and w is white noise that is known from now until T seconds ahead. X and K are the solution and the gain of
+the LQR Riccati equation. With R = D'D and A_K = A + B K, the force is
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 
-The feedback is that of LQR, so preview does not change the poles. Preview reduces the mean square of z to
+The feedback is the LQR feedback, so preview does not change the poles. Preview reduces the mean square of z to
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
 
-The mean square falls as T grows. For T = 0, the mean square is that of LQR. The integral is computed with a Lyapunov equation.
+The mean square decreases as T grows. For T = 0, it equals the mean square of LQR. The integral is computed from a Lyapunov
+equation.
 """
 
 from collections.abc import Sequence
@@ -38,17 +39,17 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
         plant: generalised plant with n states, m inputs and r disturbances.
         preview: time T by which w is known in advance [s].
         states: names of the states, for messages.
-        Cy: measurements that determine the state, shape (q, n). By default those of the plant, or the state itself if the plant
-            has no measurements.
+        Cy: measurements that determine the state, shape (q, n). Default: the measurements of the plant, or the state itself if
+            the plant has no measurements.
 
     Returns:
-        The feedback law, and its `preview`: the force from the disturbance ahead. `h2_norm` is with preview, `without` is
-            without.
+        The feedback law, with the force from the disturbance ahead as `preview`. `h2_norm` is the H2 norm with preview, and
+        `without` is the H2 norm without preview.
 
     Raises:
-        InputError: errors of `lqr_design`, or the preview time is not allowed.
-        InfeasibleError: the plant cannot be stabilised; the message describes the mode.
-        DesignError: errors of `lqr_design`, or z does not weight every force.
+        InputError: as for `lqr_design`, or the preview time is not allowed.
+        InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
+        DesignError: as for `lqr_design`, or some force has no weight in z.
 
     Example:
         >>> from synth import GeneralizedPlant, preview_design

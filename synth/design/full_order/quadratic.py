@@ -4,13 +4,13 @@ The disturbance w is white noise of intensity one, and the root mean square of z
 measured, the controller is a gain (LQR). With noisy measurements, this gain acts on the state estimate of a Kalman filter. No
 linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
-LQG and H2 are the same problem. LQG takes a separate noise of each measurement, and H2 takes z and y of a generalised plant. If
-a measurement has no noise, or a force has no cost, the problem is singular. A small share of noise or cost is then assumed, in
-the plant's internal units, with a remark. Given noise and cost are used unchanged, even if they are small. Inputs and
-measurements are scaled to one, so that the Riccati equations contain no small numbers. An integral that is measured without
-noise is not estimated, because it only acts on z.
+LQG and H2 are the same problem. LQG is given a separate noise for each measurement, and H2 is given z and y of a generalised
+plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost, relative to the
+plant's internal units, is then assumed, and a remark is added to the result. Given noise and cost are used unchanged, even if
+they are small. Inputs and measurements are scaled to a size of one, so that the Riccati equations contain no small numbers. An
+integral that is measured without noise is not estimated, because it only acts on z.
 
-White noise through Dw has an infinite mean square. No control changes it, so it is omitted.
+The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so it is omitted.
 """
 
 from collections.abc import Sequence
@@ -31,26 +31,27 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", without its direct effect on z, whose power is infinite"
-# relative to the plant's own size; assumed noise of a measurement without noise, and assumed cost of a force without cost
+# noise that is assumed for a measurement without noise, and cost that is assumed for a force without cost, in the plant's
+# internal units
 ASSUMED_SIZE = 1e-2
-NOTHING = 1e-13  # relative to the plant's own size; a smaller value is a rounding error of zero
-LITTLE = 1e-6  # relative to the plant's own size; smaller noise or cost may be the reason for a failure
+NOTHING = 1e-13  # in the plant's internal units; a smaller value is zero with a rounding error
+LITTLE = 1e-6  # in the plant's internal units; a smaller noise or cost may be the reason for a failure
 
 
 def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
-    """Designs the state feedback u = K x with the smallest mean square of z, for any disturbance matrix `Bw`.
+    """Designs the state feedback u = K x that minimises the mean square of z. It is the same for every disturbance matrix `Bw`.
 
     Args:
         plant: generalised plant with n states and m inputs.
+        states: names of the states, for messages.
 
     Returns:
         The law u = K x with K of shape (m, n), its certificate, and its H2 norm.
-        states: names of the states, for messages.
 
     Raises:
         InputError: the plant has no state or disturbance, or z is zero.
-        InfeasibleError: the plant cannot be stabilised; the message describes the mode.
-        DesignError: z does not contain a mode that does not decay.
+        InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
+        DesignError: a mode that does not decay is unobservable in z.
 
     Example:
         >>> from synth import GeneralizedPlant, lqr_design
@@ -67,23 +68,25 @@ def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
 def lqg_design(
     plant: Plant, Cy: Array | None = None, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> DesignResult:
-    """Designs the controller of y = C_y x + v with the smallest mean square of z, where v is independent white noise.
+    """Designs the controller that minimises the mean square of z and measures y = C_y x + v, where v is independent white noise.
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n); that of the plant by default.
+        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
         noise: noise intensity of each measurement, shape (q,), in [unit of the measurement times sqrt(s)]. Noise with rms sigma
-            that is drawn every T seconds has the intensity sigma sqrt(T). Since w has intensity one, B_w and D_w must contain
-            the square root of its true intensity. By default, a small noise is assumed, with a remark.
+            that is drawn every T seconds has the intensity sigma sqrt(T). Since w has intensity one, B_w and D_w must include
+            the square root of the true intensity of the disturbance. Default: a small noise is assumed, and the result has a
+            remark.
+        states: names of the states, for messages.
 
     Returns:
         A law with as many states as the plant, its certificate, and its H2 norm.
-        states: names of the states, for messages.
 
     Raises:
-        InputError: C_y or the noise does not fit the plant, or errors of `lqr_design`.
-        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode.
-        DesignError: errors of `lqr_design`, or w does not excite a mode that does not decay.
+        InputError: C_y or the noise does not fit the plant; otherwise as for `lqr_design`.
+        InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
+            be stabilised.
+        DesignError: as for `lqr_design`, or w does not excite a mode that does not decay.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -105,19 +108,19 @@ def lqg_design(
 
 
 def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, states: Sequence[str] = ()) -> DesignResult:
-    """Designs the controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
+    """Designs the controller that measures y = C_y x + Dyw w and minimises the H2 norm from w to z.
 
     Args:
         plant: generalised plant with n states, m inputs and r disturbances.
-        Cy: measurement matrix, shape (q, n); that of the plant by default.
-        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
+        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        states: names of the states, for messages.
 
     Returns:
         A law with as many states as the plant, its certificate, and its H2 norm.
-        states: names of the states, for messages.
 
     Raises:
-        InputError, InfeasibleError, DesignError: errors of `lqg_design`.
+        InputError, InfeasibleError, DesignError: as for `lqg_design`.
 
     Example:
         >>> from synth import GeneralizedPlant, h2_design
@@ -132,11 +135,11 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
 
 
 def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs the law with the smallest mean square of z by `lqr_design`, `lqg_design` or `h2_design`.
+    """Designs the law that minimises the mean square of z, by `lqr_design`, `lqg_design` or `h2_design`.
 
     Raises:
-        DesignError: not every state is measured, as LQR requires.
-        InputError, InfeasibleError, DesignError: errors of `lqr_design`, `lqg_design` and `h2_design`.
+        DesignError: LQR was requested, but not every state is measured.
+        InputError, InfeasibleError, DesignError: as for `lqr_design`, `lqg_design` and `h2_design`.
     """
     plant, states = problem.plant, problem.states
     if problem.design == "lqr":
@@ -150,7 +153,7 @@ def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def state_rows(plant: Plant) -> list[int]:
-    """Returns the indices of independent measurements, as many as there are states.
+    """Returns the indices of n independent measurements, where n is the number of states.
 
     Raises:
         DesignError: not every state is measured.
@@ -167,7 +170,7 @@ def state_rows(plant: Plant) -> list[int]:
 def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:
     """Converts a gain on the state to a gain on measurements y = C_y x.
 
-    `kept` are the measurements it uses, see `state_rows`.
+    `kept` contains the indices of the measurements that the new gain uses; see `state_rows`.
     """
     gain = np.zeros((len(law.D), len(Cy)))
     gain[:, kept] = np.linalg.solve(Cy[kept].T, law.D.T).T
@@ -175,7 +178,7 @@ def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:
 
 
 def h2_norm(loop: Plant) -> float:
-    """Returns the root mean square of z of a stable loop under white noise w, without Dw."""
+    """Returns the root mean square of z for white noise w in a stable loop, without the direct effect of w through Dw."""
     A, scale = balance(loop.A)
     Bw, C = loop.Bw / scale[:, None], loop.C * scale
     covariance = linalg.solve_continuous_lyapunov(A, -Bw @ Bw.T)
@@ -184,7 +187,7 @@ def h2_norm(loop: Plant) -> float:
 
 @numerics()
 def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
-    """Returns the law of `lqg_design` without checks, norm and certificate, for a search over weights.
+    """Returns the law of `lqg_design`, but without checks, norm and certificate, for use in a search over weights.
 
     Args:
         plant: generalised plant with n states and q measurements.
@@ -201,13 +204,13 @@ def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
 
 @numerics()
 def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> DesignResult:
-    """Designs the law with the smallest mean square of z. The value of the result is the H2 norm.
+    """Designs the law that minimises the mean square of z. `value` of the result is the H2 norm.
 
-    The norm is that of the given plant under white noise w and LQG's noise, without regularisation and without Dw. The
-    certificate is for the worst case of w. The certificate excludes LQG's noise, because white noise has no rms.
+    The H2 norm is computed for the given plant with white noise w and the noise of LQG, without regularisation and without Dw.
+    The certificate applies to the worst-case w. It excludes the noise of LQG, because white noise has no finite rms.
 
     Args:
-        noise: feedthrough from additional white noise to y, shape (q, k); it only affects the mean square.
+        noise: feedthrough from additional white noise to y, shape (q, k); this noise affects only the mean square.
     """
     check_inputs(plant)
     shaken = plant if noise is None else plant.with_disturbances(noise)
@@ -239,13 +242,13 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
 
 
 def _assumed_rows(D: Array) -> tuple[Array, float]:
-    """Returns rows that raise the zero singular values of D to `ASSUMED_SIZE`, and the smallest of its other singular values.
+    """Returns rows to add to D that raise its zero singular values to `ASSUMED_SIZE`, and its smallest nonzero singular value.
 
     Args:
         D: matrix with a column for each input, shape (d, m).
 
     Returns:
-        The rows, shape (k, m), and the smallest nonzero singular value; infinite if all are zero.
+        The rows, shape (k, m), and the smallest nonzero singular value; infinite if all singular values are zero.
     """
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(D.shape[1] - len(sizes))])
@@ -254,7 +257,7 @@ def _assumed_rows(D: Array) -> tuple[Array, float]:
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
-    """Returns the best law for an additional cost of forces and an additional noise of measurements, with both as text.
+    """Returns the best law if costs of forces and noise of measurements are added, and texts about these additions.
 
     Raises:
         DesignError: a Riccati equation has no solution.
@@ -280,7 +283,7 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
 
 
 def _known_states(plant: Plant) -> dict[int, int]:
-    """Returns the states that have their own noise-free measurement and only affect z, as {measurement: state}."""
+    """Returns the states that affect only z and are measured without noise, as {index of the measurement: index of the state}."""
     known = {}
     for row, (states, noise) in enumerate(zip(plant.Cy, plant.Dyw, strict=True)):
         (there,) = np.nonzero(states)
@@ -290,7 +293,9 @@ def _known_states(plant: Plant) -> dict[int, int]:
 
 
 def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Returns X of a regulator's Riccati equation. If slow modes are close to the imaginary axis, SciPy's balancing may fail.
+    """Returns the solution X of a regulator's Riccati equation.
+
+    SciPy's balancing may fail if slow modes are close to the imaginary axis.
 
     Raises:
         LinAlgError, ValueError: there is no solution, neither with nor without balancing.
@@ -302,12 +307,12 @@ def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> A
 
 
 def _regulator(plant: Plant, more: Array, advice: str) -> Array:
-    """Returns the gain K, shape (m, n), of the u = K x that minimises the mean square of C x + D u and of `more` u."""
+    """Returns the gain K, shape (m, n), for which u = K x minimises the mean square of [C x + D u; `more` u]."""
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     if not B.shape[1]:  # no force has an effect
         return np.zeros((0, len(A)))
     turned, sizes, directions = np.linalg.svd(np.vstack([D, more]), full_matrices=False)
-    each = directions.T / sizes  # combinations of inputs with a cost of one, and without cross terms
+    each = directions.T / sizes  # combinations of inputs that have a cost of one and no cross terms
     B, D = B @ each, turned[: len(D)]
     try:
         X = _stabilising_solution(A, B, C.T @ C, np.eye(len(sizes)), C.T @ D)

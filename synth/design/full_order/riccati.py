@@ -1,12 +1,12 @@
-"""Search for a full-order controller by Riccati equations: a norm close to the lower bound, or a trade-off with speed.
+"""Search for a full-order controller by Riccati equations: a norm near the lower bound, or a trade-off of norm and speed.
 
 The equations are those of Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
-are theirs: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats. The equations require D and Dyw of full rank, and no
-zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations require D12 = [0; I] and D21 = [0 I].
-Therefore z and w are rotated, u and y are scaled, and the result is transformed back. Near the smallest gamma with a solution,
-the solvers return wrong solutions, so each solution is checked.
+follow this book: D11 = Dw, D12 = D, D21 = Dyw, and X, Y, F, H with and without hats. The equations require D and Dyw of full
+rank, and no zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations require D12 = [0; I] and
+D21 = [0 I]. Therefore z and w are rotated, u and y are scaled, and the result is transformed back. If gamma is close to the
+smallest value for which a solution exists, the solvers can return wrong solutions, so each solution is checked.
 
-The order of a law is reduced in two ways. Neither guarantees a good loop, so the loop of a reduced law is checked again.
+The order of a law is reduced in two ways. Neither way guarantees a good loop, so the loop of a reduced law is checked again.
 
 - *Fast modes* follow their input almost immediately. Fast modes are replaced by their static gain in D_c (residualisation;
   Kokotovic, Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
@@ -14,18 +14,18 @@ The order of a law is reduced in two ways. Neither guarantees a good loop, so th
   These modes are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
-infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. The size of both is a share of
-the plant's internal units, in which the same share is suitable for all signals. All states are also disturbed and weighted a
-little. The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances and outputs:
+infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. Their size is a share of the
+plant's internal units, in which the same share suits all signals. Small disturbances and weights are also added to all states.
+The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-A larger share gives a slower controller. The share therefore falls until the required gamma is reached, which gives the slowest
-controller with this gamma. No share may reach this gamma, or only with controllers too fast for an actuator. The search then
-returns the trade-off of norm and speed: the smallest gamma for each share.
+A larger share gives a slower controller. The share is therefore reduced until the required gamma is reached, which gives the
+slowest controller with this gamma. If no share reaches this gamma, or only with controllers that are too fast for an actuator,
+the search returns the trade-off between norm and speed: the smallest gamma for each share.
 
-Near the smallest gamma, some poles of the central law tend to infinity, and the law without these poles is equally good. Each
-law that is too fast is therefore also tried without its fast poles.
+If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
+equally good. Each law that is too fast is therefore also tried without its fast poles.
 """
 
 import contextlib
@@ -49,22 +49,22 @@ from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
 
-RESIDUAL = 1e-6  # residual relative to the largest term, below which a Riccati equation counts as solved
-NEGATIVE = 1e-9  # relative to the largest eigenvalue; a zero eigenvalue may be negative by this much due to rounding
-EDGE = 1e-9  # relative; a spectral radius this close to gamma^2 counts as too large
+RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual, relative to the largest term, is smaller
+NEGATIVE = 1e-9  # relative to the largest eigenvalue; rounding may make a zero eigenvalue negative by this amount
+EDGE = 1e-9  # a spectral radius whose relative distance from gamma^2 is smaller counts as too large
 
 
 def central_law(plant: Plant, gamma: float) -> LinearLaw:
-    """Returns a stabilising law with as many states as the plant, for a closed-loop norm below gamma.
+    """Returns a stabilising law that has as many states as the plant and a closed-loop norm below gamma.
 
-    The law's state is an estimate of the plant's state under the worst disturbance.
+    The law's state is an estimate of the plant's state, assuming the worst disturbance.
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs, where D has rank m.
         gamma: required norm.
 
     Raises:
-        InfeasibleError: no law has this norm, or rounding hides it.
+        InfeasibleError: no law has this norm, or rounding prevents finding it.
     """
     A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, plant.Dyw.shape, gamma**2
     turn_z, from_u = _last(plant.D)  # turn_z' D from_u = [0; I]
@@ -90,15 +90,15 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
 
 def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
-    """Returns the state feedback G of the saddle point at a level, shape (m, n). The norm of its loop is below the level.
+    """Returns the state feedback G, shape (m, n), of the saddle point for a level gamma. The norm of its loop is below gamma.
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs.
         gamma: level, above the norm of the loop.
-        share: regularisation. Every force costs at least this share of the norm of D or C, whichever is larger.
+        share: regularisation: every force has at least this cost, relative to the larger of the norms of D and C.
 
     Raises:
-        InfeasibleError: no state feedback has a norm below gamma, or rounding hides its solution.
+        InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding it.
     """
     (n, m), r = plant.B.shape, plant.Dw.shape[1]
     cost = missing(plant.D, share * max(_size(plant.D), _size(plant.C)))
@@ -108,7 +108,7 @@ def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
 
 
 def _last(D: Array) -> tuple[Array, Array]:
-    """Returns an orthogonal T and a matrix S with T' D S = [0; I], for a D of full column rank."""
+    """Returns an orthogonal T and a matrix S with T' D S = [0; I], for a matrix D of full column rank."""
     m = D.shape[1]
     turned, sizes, directions = np.linalg.svd(D)
     return np.hstack([turned[:, m:], turned[:, :m]]), directions.T / sizes
@@ -136,13 +136,13 @@ def _stabilising_solution(A: Array, B: Array, C: Array, D: Array, R: Array) -> t
 def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     """Returns X = X' for which [I; X] spans the stable subspace of the Riccati equation's pencil.
 
-    The method is that of `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). The checks are
-    omitted, because they take most of the time for small equations. The caller checks every solution.
+    The method is the same as in `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). The checks in
+    that function are omitted, because they take most of the time for small equations. The caller checks every solution.
 
     Raises:
-        LinAlgError: the dimension of the stable subspace is not n, or its first block is singular.
+        LinAlgError: the dimension of the stable subspace is not n, or the first block of its basis is singular.
     """
-    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))  # in double precision, found without example arrays
+    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))  # in double precision; no example arrays are needed
     n, m = B.shape
     H, J = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n))
     H[:n, :n], H[:n, 2 * n :] = A, B
@@ -170,12 +170,12 @@ def _size(matrix: Array) -> float:
     return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 
-# relative to the largest Hankel singular value; a smaller value is negligible, since their roots have only half of all digits
+# Hankel singular values below this fraction of the largest are negligible, because they are accurate to only half of all digits
 CANCELS = 1e-6
 
 
 def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
-    """Returns a law without its fast modes and without modes that cancel; the law itself if it has no such modes.
+    """Returns a law without its fast modes and without modes that cancel. A law that has no such modes is returned unchanged.
 
     Args:
         law: law in continuous time, in units in which its entries have similar magnitudes.
@@ -199,7 +199,7 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
 
 
 def split_modes(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
-    """Splits a law into two parallel laws, one with the selected modes and one with the other modes. Both are without D."""
+    """Splits a law into two parallel laws, one with the selected modes and one with the other modes. Neither contains D."""
     none = np.zeros_like(law.D)
     if not law.states:
         return LinearLaw(law.A, law.B, law.C, none), LinearLaw(law.A, law.B, law.C, none)
@@ -211,7 +211,7 @@ def split_modes(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
 
 
 def _truncate_law(law: LinearLaw) -> LinearLaw:
-    """Returns a stable law without modes of negligible Hankel singular value (square-root method)."""
+    """Returns a stable law without the modes that have negligible Hankel singular values (square-root method)."""
     if not law.states:
         return law
     reached, seen = _root(law.A, law.B), _root(law.A.T, law.C.T)
@@ -224,34 +224,35 @@ def _truncate_law(law: LinearLaw) -> LinearLaw:
 
 
 def _root(A: Array, B: Array) -> Array:
-    """Returns L, where L L' is the controllability Gramian of A and B."""
+    """Returns a matrix L such that L L' is the controllability Gramian of A and B."""
     gramian = linalg.solve_continuous_lyapunov(A, -B @ B.T)
     sizes, directions = np.linalg.eigh((gramian + gramian.T) / 2)
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # relative distance to the lower bound at which the search ends
-# shares of added noise and cost, relative to the disturbance of the states and to their weight in z
+WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller
+# shares: added noise and cost, relative to the disturbance of the states and to the weight of the states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
-STATES = 0.1  # additional disturbance and weight of all states, relative to the share
-AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))  # multiples of the first sufficient share that are also tried
-# relative; by how much gamma may exceed the required value, because the actual norm is often smaller than gamma
+STATES = 0.1  # additional disturbance and weight of all states, as a multiple of the share
+# if a share is sufficient, these multiples of the first sufficient share are also tried
+AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
+# relative amounts by which gamma may exceed the required value, because the actual norm is often smaller than gamma
 REACHES = (0.0, 2e-3, 1e-2, 3e-2)
 MARGINS = (
     1e-3,
     1e-2,
     1e-1,
     1.0,
-)  # relative distances above the smallest feasible gamma; a larger distance gives a slower law
-SAME = 1e-6  # relative; the norm may rise by this much if states of a law are omitted
+)  # relative distances of gamma above the smallest feasible gamma; a larger distance gives a slower law
+SAME = 1e-6  # the norm may rise by this relative amount if states of a law are omitted
 CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
-GRAIN = 2.0**-14  # grid of the exponent to base two, see `_coarse`
-PARTS = (1.0, 0.1)  # multiples of `much`; poles of a law above this speed are removed
-OWN_PART = 0.3  # multiple of the law's own speed, above which only its fastest poles are removed
-PRICE = 1e-3  # relative decrease of the norm that a law of ten times the speed must reach, for speeds above `much`
-HALVINGS = 4  # bisections between two shares, to come close to a limit on the speed
+GRAIN = 2.0**-14  # step to which the base-2 logarithm of a number is rounded in `_coarse`
+PARTS = (1.0, 0.1)  # poles of a law that are faster than these multiples of `much` are removed
+OWN_PART = 0.3  # otherwise, only the poles of the law above this multiple of its own speed are removed
+PRICE = 1e-3  # relative decrease of the norm that justifies ten times the speed, for speeds above `much`
+HALVINGS = 4  # number of bisections between two shares, to come close to a limit on the speed
 ROUNDING_OF_GAIN = 1e-8  # relative rounding error of the gain at one frequency
-SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which the plant's entries have size one
+SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which the largest entries of the plant have size one
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +260,7 @@ class TradeOffPoint:
     """Controller on the trade-off between norm and speed.
 
     Attributes:
-        share: share of noise and cost in the design; zero if it was found by descent.
+        share: share of noise and cost that was added in the design; zero if the law was found by descent.
         law: law in the given units.
         own: law in the plant's internal units.
         search: search that found the law.
@@ -282,7 +283,7 @@ class TradeOffPoint:
 
     @cached_property
     def norm(self) -> float:
-        """Norm of the loop in the given units, computed by one method."""
+        """Norm of the loop in the given units, computed by only one method."""
         own = self.search.own
         return level_set_norm(own.plant.closed(self.own))[0] / own.norm
 
@@ -297,26 +298,26 @@ class TradeOffPoint:
 
     @property
     def excess(self) -> float:
-        """Speed of the loop relative to the highest speed without a price, `much`; 1 if the loop is slower."""
+        """Speed of the loop, relative to the highest speed that need not be justified, `much`; 1 if the loop is slower."""
         return max(1.0, self.speed_up / self.search.much)
 
     @property
     def trouble(self) -> tuple[float, float]:
-        """Sort key for laws with similar norms: the excessive speed, where an unstable law counts as ten times faster.
+        """Sort key for laws with similar norms: the excess speed, to which an unstable law adds a factor of ten.
 
-        An unstable law is worse because it does not tolerate saturation of a force. Among the slower laws, the stable ones come
-        first.
+        An unstable law is worse because it does not tolerate saturation of a force. Among laws without excess speed, stable
+        laws come first.
         """
         return self.excess * (1.0 if self.stable else 10.0), self.speed_up
 
     @property
     def cost(self) -> float:
-        """Norm, increased by the price of the speed."""
+        """Norm, increased by a penalty for excess speed."""
         return self.norm * (1 + PRICE * np.log10(self.excess))
 
 
 def pareto_front(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
-    """Returns the controllers to which no other is superior in both norm and speed, the slowest first."""
+    """Returns the controllers to which no other controller is superior in both norm and speed, in ascending order of speed."""
     front = list[TradeOffPoint]()
     for each in sorted(points, key=lambda each: each.speed_up):
         if front and not (each.least < front[-1].norm and each.norm < front[-1].norm):
@@ -338,12 +339,12 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """Returns the controller with the smallest `trouble` among slow enough ones of nearly the smallest cost, or None.
+    """Returns the slow enough controller with the smallest `trouble` among those of nearly the smallest cost, or None.
 
     Args:
         trade: controllers in any order.
         fastest: limit on the speed, relative to the plant's own speed.
-        enough: sufficient norm; controllers that reach it are preferred to all others.
+        enough: sufficient norm; controllers with at most this norm are preferred to all others.
     """
     slow = [each for each in trade if each.speed_up <= fastest]
     if near := [each for each in slow if each.within(enough)]:
@@ -357,12 +358,12 @@ class RiccatiSearch:
 
     Attributes:
         fastest: speed of the plant without control [rad/s].
-        much: multiple of this speed, above which a higher speed must lower the norm (`PRICE`).
+        much: multiple of `fastest`; a loop that is faster must have a lower norm (`PRICE`).
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
         """Args:
-        quick: a speed that costs nothing [rad/s].
+        quick: speed up to which a faster loop has no penalty [rad/s].
         """
         self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
@@ -370,7 +371,7 @@ class RiccatiSearch:
         self.much = max(FASTEST, quick / self.fastest)
 
     def near(self, fastest: float) -> TradeOffPoint | None:
-        """Returns the controller with the least trouble within WITHIN of the lower bound that is slow enough, or None."""
+        """Returns the slow enough controller with the least `trouble` within WITHIN of the lower bound, or None."""
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
@@ -393,7 +394,7 @@ class RiccatiSearch:
         return best
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for all shares of noise and cost and several gamma, also without their too fast poles."""
+        """Returns controllers for all shares of noise and cost and for several gamma, with and without their fastest poles."""
         points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
@@ -402,12 +403,12 @@ class RiccatiSearch:
         return points + self.slower(points, fastest)
 
     def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
-        """Returns the controllers for a share of noise and cost, with gamma from its smallest value upwards."""
+        """Returns the controllers for a share of noise and cost, for the smallest gamma and several larger gamma."""
         tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares between two neighbours on a front: the last slow enough, and the first too fast."""
+        """Returns controllers for shares between two neighbours on a front: the last slow enough and the first too fast one."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )
@@ -422,7 +423,10 @@ class RiccatiSearch:
         return points
 
     def slower(self, points: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns the controllers that are too fast without the fast poles of their laws, if their loops stay stable."""
+        """Removes the fast poles from the laws of controllers that are too fast.
+
+        Returns the results whose loops are still stable.
+        """
         left, much = list[TradeOffPoint](), min(fastest, self.much)
         for each in points:
             for limit in [*(part * much for part in PARTS), OWN_PART * each.speed_up] if each.speed_up > much else []:
@@ -433,9 +437,9 @@ class RiccatiSearch:
         return left
 
     def smallest(self, share: float, above: float) -> float:
-        """Returns the smallest gamma for which the regularised problem has a law, for a given share of noise and cost.
+        """Returns the smallest gamma for which the regularised problem has a solution, for a given share of noise and cost.
 
-        This gamma is at most `above`, the smallest gamma for a larger share.
+        This gamma is at most `above`, which is the smallest gamma for a larger share.
         """
         low = max(_coarse(self.bound), SMALLEST)
         high, guess = above, 2 * low
@@ -449,7 +453,7 @@ class RiccatiSearch:
         return high
 
     def traded(self, share: float, gamma: float) -> TradeOffPoint | None:
-        """Returns the controller for a share of noise and cost and a gamma; None if there is no stable loop."""
+        """Returns the controller for a gamma and a share of noise and cost; None if no controller gives a stable loop."""
         with contextlib.suppress(InputError):  # the problem is infeasible, or an entry of the law is too large
             return self.judged(share, self.law(share, gamma))
         return None
@@ -470,7 +474,7 @@ class RiccatiSearch:
         return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
-        """Returns the controller without negligible states, if its norm stays the same and its trouble does not rise."""
+        """Returns the controller without negligible states, if this changes neither its norm nor raises its `trouble`."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
@@ -503,8 +507,8 @@ class RiccatiSearch:
 
 
 def _coarse(gamma: float) -> float:
-    """Returns a slightly smaller number, the same for all numbers within GRAIN.
+    """Rounds a number down so that numbers which differ only by rounding errors usually give the same result (see GRAIN).
 
-    Bounds differ by rounding if the units differ.
+    Without this, results would depend on units, because bounds in other units have other rounding errors.
     """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

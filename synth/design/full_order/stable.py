@@ -1,10 +1,10 @@
 """Full-order laws that are stable themselves, so that they do not wind up when forces saturate.
 
 Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. This
-descent searches for one gain [D, C; B, A] for two plants. The first is the plant with the law's states. The second consists of
-these states alone, x_c' = v, with a small weight. The loop of the second plant is x_c' = A x_c. The norm of this loop is finite
-as long as the law is stable. The matrix A of a law that subtracts forces from its measurements changes before the law runs. The
-stability of such a law is checked in the form in which the law runs.
+descent lowers the norms of two plants with one gain [D, C; B, A]. The first is the given plant with the law's states. The
+second consists of the law's states alone, x_c' = v, with a small weight. Its closed loop is x_c' = A x_c, whose norm is finite
+as long as the law itself is stable. If a law subtracts forces from its measurements, its matrix A changes before the law is
+executed. The stability of such a law is therefore checked in the form in which it is executed.
 """
 
 import contextlib
@@ -21,23 +21,23 @@ from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import Plant, gain_law, law_gain
 
-# gamma relative to the lower bound; a smaller gamma gives a faster law closer to the bound
+# values of gamma relative to the lower bound; a smaller gamma gives a faster law whose norm is closer to the bound
 GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)
 STARTS = 2  # number of laws from which a descent starts
-LIGHTLY = 1e-3  # weight of a law's own states, relative to the norm in internal units
+LIGHTLY = 1e-3  # weight of the law's own states in the second plant, relative to the norm in internal units
 LARGER = 10.0  # largest allowed entry, relative to the largest entry of the start
 
 
 def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
-    """Returns laws that are stable themselves and have stable loops.
+    """Returns laws that are themselves stable and have stable loops.
 
     Args:
-        search: search on the plant; its internal units are used.
-        fits: function that returns True for a law that is itself stable, with a loop that is slow enough.
-        most: largest number of entries of a law for which a descent continues from the best laws.
+        search: search for laws for the plant; the internal units of this search are used.
+        fits: function that returns True if a law is itself stable and its loop is slow enough.
+        most: a descent continues from the best laws if a law has at most this number of entries.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
-    # A descent does not lead from a fast law to a slow one.
+    # A descent does not lead from a fast law to a slow law.
     laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: (each.excess > 1, each.norm))
     for start in laws[:STARTS]:
         if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.plant.Cy)) <= most:
@@ -48,7 +48,7 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
 
 
 def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
-    """Returns the law at the end of the descent from a stable law, in internal units. Rounding may make it unstable.
+    """Returns the law at the end of the descent from a stable law, in internal units. Rounding may have made this law unstable.
 
     Raises:
         DesignError: the descent fails.
@@ -59,14 +59,14 @@ def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
 
 
 def descend_stable(plant: Plant, start: Array, states: int, light: float, structure: Array | None = None) -> Array:
-    """Returns the gain [D, C; B, A] at the end of the descent from a stable law. Rounding may make its law unstable.
+    """Returns the gain [D, C; B, A] at the end of the descent from a stable law. Rounding may have made this law unstable.
 
     Args:
         plant: plant with the law's states, and the measurements of the gain.
-        start: gain of the stable law from which the descent starts; its loop is stable, too.
+        start: gain of the stable law from which the descent starts; its loop must also be stable.
         states: number k of the law's states.
         light: weight of the law's own states.
-        structure: True for the entries that may be nonzero; None for all.
+        structure: mask: True for entries that may be nonzero. None if all entries may be nonzero.
 
     Raises:
         DesignError: the descent fails.

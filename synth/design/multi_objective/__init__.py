@@ -1,1 +1,1 @@
-"""Multi-objective design: minimises one norm with bounds on others, for one or several plants, with gain errors."""
+"""Multi-objective design: minimises one norm with bounds on other quantities, for one or more plants, with gain errors."""

@@ -1,8 +1,8 @@
-"""Filter of w with a gain of at least one in a frequency band and a small gain outside, which represents the band as a weight.
+"""Filter that represents a frequency band as a weight on w: its gain is at least one in the band and small outside the band.
 
 A bound on the norm with this filter is also a bound on the norm in the band. Some bounds, such as the norm over a box of gain
-errors, are only known over all frequencies. The filter proves these bounds for a band. The bound is looser at the edges of the
-band, because the gain of the filter falls gradually there.
+errors, can only be proved over all frequencies. With the filter, they can also be proved for a band. The bound is less tight
+near the edges of the band, because the gain of the filter decreases gradually there.
 """
 
 from functools import reduce
@@ -16,15 +16,15 @@ from synth.plant.augmented import append, gain, series, transfer_function, with_
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ORDER = 4  # an even order, because an odd order has poles in a wide band that no second-order section can represent
+ORDER = 4  # even, because the poles of an odd order cannot always be represented by second-order sections if the band is wide
 RIPPLE = 0.02  # largest gain in the band [dB]
 BESIDE = 30.0  # attenuation outside the band [dB]
 
 
 def in_band(plant: Plant, band: Band) -> Plant:
-    """Returns a plant whose norm is at least the norm of the given plant in a band [rad/s].
+    """Returns a plant whose norm over all frequencies is at least the norm of the given plant in a band [rad/s].
 
-    For the band of all frequencies, the plant is returned unchanged.
+    If the band contains all frequencies, the plant is returned unchanged.
     """
     if band == EVERYWHERE:
         return plant
@@ -35,9 +35,9 @@ def in_band(plant: Plant, band: Band) -> Plant:
 def band_filter(band: Band) -> StateSpace:
     """Returns an elliptic filter with a gain of at least one in the band [rad/s].
 
-    The gain is at most `RIPPLE` above one in the band, and at least `BESIDE` below one outside.
+    In the band, the gain exceeds one by at most `RIPPLE` [dB]. Outside the band, the gain is at least `BESIDE` [dB] below one.
     """
-    from scipy import signal  # half a second
+    from scipy import signal  # this import takes half a second
 
     low, high = band
     kind, edges = ("lowpass", high) if low == 0 else ("highpass", low) if np.isinf(high) else ("bandpass", [low, high])

@@ -1,7 +1,7 @@
-"""Norm in a frequency band as a function of the gain, for loops with errors of sensors and actuators.
+"""Norm in a frequency band as a function of the gain, for loops that may contain gain errors of sensors and actuators.
 
-This landscape is like `synth.design.descent.landscape`, but only frequencies within the band, including its ends, count. The
-loop must be stable nevertheless, which a finite norm in a band does not imply.
+This function is like the norm in `synth.design.descent.landscape`, but it includes only frequencies within the band and its
+ends. A finite norm in a band does not imply stability, so stability is required separately.
 """
 
 from functools import partial
@@ -20,10 +20,10 @@ Band = tuple[float, float]
 
 
 class BandLandscape(Landscape):
-    """Norm of the loops of one plant in one band as a function of the gain.
+    """Norm of the closed loops of one plant in one frequency band, as a function of the gain.
 
     Attributes:
-        band: lower and upper frequency [rad/s]; for a discrete plant, the frequencies of its continuous image.
+        band: lower and upper frequency [rad/s]; for a discrete plant, frequencies of its continuous counterpart.
         own: number of states of the plant without its filters.
     """
 
@@ -31,7 +31,8 @@ class BandLandscape(Landscape):
         """Args:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         band: lower and upper frequency [rad/s].
-        like: landscape whose points represent the same gains; None to use the plant's own scales.
+        like: landscape whose scales are used, so that the same points represent the same gains; None to use the plant's own
+            scales.
         """
         super().__init__(plant)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
@@ -41,7 +42,7 @@ class BandLandscape(Landscape):
 
     @property
     def narrow(self) -> bool:
-        """True if the band does not contain all frequencies."""
+        """True if the band excludes some frequencies."""
         return self.band != EVERYWHERE
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
@@ -71,7 +72,7 @@ class BandLandscape(Landscape):
     def summits(self, x: Array, level: float) -> Array:
         """Returns the frequencies [rad/s] of the local maxima of the gain in the band that exceed a level, shape (P,), ascending.
 
-        An end of the band counts as a maximum if the gain falls from there into the band.
+        An end of the band counts as a maximum if the gain decreases from this end into the band.
         """
         if not self.narrow:
             return super().summits(x, level)
@@ -90,12 +91,15 @@ class BandLandscape(Landscape):
         return np.unique(np.concatenate([ends, np.clip(inside, *self.band)]))
 
     def moving(self, omega: Array) -> Array:
-        """Returns True for frequencies at which a peak moves with the gain. Peaks at the ends of the band do not move."""
+        """Returns True for each frequency at which a peak moves if the gain changes.
+
+        Peaks at the ends of the band do not move.
+        """
         low, high = self.band
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def slowest(self, x: Array) -> float:
-        """Returns the largest real part of the poles that the gain can move [rad/s]; infinite if the loop is not finite."""
+        """Returns the largest real part of the poles that the gain can change [rad/s]; infinite if the loop does not exist."""
         if self.own == len(self.plant.A):
             poles = self.modes(x).poles
         else:
@@ -105,10 +109,10 @@ class BandLandscape(Landscape):
         return largest if np.isfinite(largest) else np.inf
 
     def decays(self, x: Array) -> tuple[Array, Array]:
-        """Returns the real parts [rad/s] of the poles that the gain can move, shape (P,), and their slopes, shape (P, m q).
+        """Returns the real parts of the poles that the gain changes [rad/s], shape (P,), and their derivatives, shape (P, m q).
 
-        A pair of conjugate poles counts once. Poles of filters are omitted, because no gain moves them. The filter states are
-        the last states.
+        A pair of conjugate poles counts once. Poles of filters are omitted, because no gain can change these poles. The filter
+        states are the last states.
         """
         loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
         if known is not None and known.vectors is not None:
@@ -120,7 +124,7 @@ class BandLandscape(Landscape):
             mask = np.imag(poles) >= 0
             left, right = left[:, mask].conj().T, right[:, mask].T
         along = np.sum(left * right, axis=1)
-        along = np.where(along == 0, np.finfo(float).tiny, along)  # the slope is infinite if poles meet
+        along = np.where(along == 0, np.finfo(float).tiny, along)  # the derivative is infinite where poles meet
         driven, seen = left @ loop.B[own], right @ loop.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
         return np.real(poles[mask]), slopes.reshape(len(slopes), -1)

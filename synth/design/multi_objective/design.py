@@ -28,11 +28,11 @@ class MultiObjectiveDesign:
 
     Attributes:
         gain: gain matrix K, shape (m, q).
-        goal: largest norm over all members and errors found, or largest ratio to an individual optimum.
-        rejected_improvement: relative decrease of the goal that up to twice the gain would reach, but that was rejected; None
-            if there was none.
-        errors: gain errors that were active in the search, in addition to zero errors.
-        problem: the solved problem.
+        goal: largest norm over all members and all errors found, or largest ratio of a member's norm to its individual optimum.
+        rejected_improvement: relative decrease of the goal that a gain up to twice as large would achieve, but which was
+            rejected as too small; None if there was none.
+        errors: gain errors that the search took into account, in addition to the case without errors.
+        problem: problem that was solved.
     """
 
     gain: Array
@@ -43,9 +43,12 @@ class MultiObjectiveDesign:
 
     @cached_property
     def unproved(self) -> tuple[int, ...]:
-        """Indices of the members whose stability for all errors of the tolerance is not proved. Computed at first use.
+        """Indices of the members whose stability is not proved for all errors within the tolerance.
 
-        Without errors, the poles of a loop prove its stability. No error that was found makes a loop unstable.
+        They are computed at first use.
+
+        If there are no errors, the poles of a loop prove its stability. None of the errors found in the search makes a loop
+        unstable.
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
@@ -72,12 +75,13 @@ def multi_objective_design(
 
     Args:
         problem: goals, bounds and plants.
-        starts: gains to start from, shape (m, q) each, in addition to those that the search generates.
-        on_progress: function that receives the goal, and True if all bounds are fulfilled, at every new point.
-        otherwise: function that returns further starts, called only if no other start leads to stable loops.
+        starts: gains from which the search starts, each of shape (m, q), in addition to the starts that the search generates.
+        on_progress: function that is called at every new point with the value of the goal, and with True if all bounds are
+            fulfilled.
+        otherwise: function that returns additional starts; it is called only if no other start leads to stable loops.
 
     Returns:
-        The gain, the goal that it reaches, and the errors that were active in the search.
+        The gain, the value of the goal, and the gain errors that the search took into account.
 
     Raises:
         InputError: a decay is required for a discrete plant.
@@ -112,27 +116,28 @@ def multi_objective_design(
 
 @numerics()
 def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Progress = quiet) -> float:
-    """Returns the goal of a better gain for a problem whose bounds the gain of a design fulfils.
+    """Returns the goal of a better gain, found by descent from a design's gain, which must fulfil the bounds of the problem.
 
-    If there is no better gain, the goal of the design is returned.
+    If no better gain is found, the goal of the design is returned.
 
     The better gain comes from a descent with a fixed number of rounds, so it need not be the best gain.
 
     Args:
         problem: problem of the design, possibly with another structure.
         design: design from whose gain the descent starts.
-        on_progress: function that receives the goal, and True if all bounds are fulfilled, at every new point.
+        on_progress: function that is called at every new point with the value of the goal, and with True if all bounds are
+            fulfilled.
     """
     found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
     return design.goal if found is None else min(design.goal, found[1].goal)
 
 
 def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) -> MultiObjectiveDesign:
-    """Runs the search from the paper's two steps for the first, middle and last member, and from the starts that it generates."""
+    """Runs the search from the two-step gains of the first, middle and last member, and from starts that it generates."""
     count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
         plant_problem = problem.members[i].plants[0]
-        of_state = np.any(plant_problem.Cy != 0, axis=1)  # the two steps use only measurements that contain a state
+        of_state = np.any(plant_problem.Cy != 0, axis=1)  # the two steps use only measurements that depend on a state
         with contextlib.suppress(InputError):
             gains.append(
                 plant_problem.on_readings(
@@ -146,7 +151,7 @@ def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProb
     """Returns the problem whose goal is the largest ratio of a member's norm to its individual optimum, with the same bounds.
 
     Raises:
-        DesignError: a member alone has no gain within the bounds.
+        DesignError: for one of the members, even on its own, no gain fulfils the bounds.
     """
     bests = []
     for i in range(len(problem.members)):
@@ -158,7 +163,7 @@ def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProb
 
 
 def for_goals(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain for goals, by descent from the two steps and from other starts."""
+    """Designs a static gain for goals, by descent from the gain of the two steps and from other starts."""
     assert problem.goals is not None, "goals"
     found = run_search(problem.goals, progress)
     law, share = static_law(found.gain), found.rejected_improvement

@@ -10,28 +10,28 @@ from models.common.arrays import Array
 from synth.design.descent.terms import Linearisation, Term
 from synth.design.multi_objective.band_norm import BandLandscape
 
-NEAR = 0.3  # relative to the required decay rate; poles this close to the slowest pole also count
+NEAR = 0.3  # distance relative to the required decay rate; poles this close to the slowest pole are also considered
 
 
 class Decay(Term):
-    """The largest real part of a pole as the value 2 + re(pole) / rate.
+    """Decay rate of a loop: the value of the term is 2 + (largest real part of a pole) / rate.
 
-    The bound 1 of every term then means a real part of -rate.
+    Every term has the bound 1. For this term, the bound means that no real part exceeds -rate.
     """
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
         self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value of the slowest pole."""
+        """Returns the value of the term for the slowest pole."""
         return 2 + self.landscape.slowest(x) / self.rate
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the real parts of all poles near the bound."""
+        """Returns the values for all poles close to the slowest pole."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the real parts of the poles at another point."""
+        """Returns the values for the poles at another point."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
     def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
@@ -43,7 +43,7 @@ class Decay(Term):
 
 @dataclass(frozen=True, eq=False)
 class BoundedSignal:
-    """Signal c x + g u of a plant without feedthrough from w.
+    """Bounded signal c x + g u of a plant, without feedthrough from w.
 
     Attributes:
         c: row vector of the states, shape (n,).
@@ -63,14 +63,14 @@ class BoundedSignal:
 
 
 class EnergyPeak(Term):
-    """Energy-to-peak norm, relative to its bound: sqrt(E) (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0."""
+    """Energy-to-peak norm (E c P c')^1/2 for the energy E, relative to its bound, where P solves A P + P A' + Bw Bw' = 0."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
         self.c = signal.c * landscape.balancing  # in the coordinates of the landscape
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the relative norm; infinite if the loop is unstable."""
+        """Returns the norm relative to its bound; infinite if the loop is unstable."""
         return self._solved(x)[0]
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
@@ -86,7 +86,7 @@ class EnergyPeak(Term):
         return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
-        """Returns the value and its slope, shape (m q,)."""
+        """Returns the value and its derivatives with respect to the entries of the gain, shape (m q,)."""
         land = self.landscape
         loop = land.loop(x)
         A, Bw = loop.A, loop.Bw
@@ -99,7 +99,7 @@ class EnergyPeak(Term):
         square = float(c @ P @ c)
         if not square > 0:
             return 0.0, np.zeros(len(x))
-        # Half the slope of c P c', with contributions of the dynamics, the signal, and the measurement noise.
+        # Half the derivative of c P c', with contributions of the dynamics, the signal, and the measurement noise.
         moved = loop.B.T @ Q
         half = moved @ P @ loop.Cy.T + np.outer(self.signal.g @ land.after(x), loop.Cy @ P @ c) + moved @ Bw @ loop.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit

@@ -1,4 +1,4 @@
-"""Largest magnitude of a signal over a road: its peaks and their slopes for a descent, and a proved bound."""
+"""Largest magnitude of a signal over a road: its peaks and their derivatives for a descent, and a proved bound."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,11 +21,13 @@ from synth.design.multi_objective.road_response import (
     step_for,
 )
 
-# time step as the phase of the fastest pole without control [rad]; a cubic then misses a peak by less than 1e-6 of its value
+# time step, as the phase angle by which the fastest pole without control turns [rad]; the error of a peak of a cubic is then
+# below 1e-6 of its value
 STEP = 0.1
-CYCLES = 2  # periods of the slowest oscillation without control after the road that are searched for peaks
-MOST = 20_000  # largest number of steps
-SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the signal between two times is unknown
+# number of periods of the slowest oscillation without control for which peaks are also searched after the end of the road
+CYCLES = 2
+MOST = 20_000  # largest number of time steps
+SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the signal between two time steps is unknown
 
 
 class RoadPeak(Term):
@@ -50,7 +52,7 @@ class RoadPeak(Term):
         self.last: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the largest |y| over the road and some periods after it, relative to the bound."""
+        """Returns the largest magnitude of the signal over the road and for some periods afterwards, relative to the bound."""
         _, y, slopes, ends = self._signal(x)
         if not np.all(np.isfinite(y)):
             return np.inf
@@ -58,7 +60,7 @@ class RoadPeak(Term):
         return max(highest, float(np.abs(ends).max(initial=0.0))) / self.unit
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the signal at the times of its peaks, with the sign of each peak."""
+        """Returns the signal at the times of its peaks, multiplied by the sign of each peak."""
         _, y, slopes, ends = self._signal(x)
         touching, floor = [], (1 - max(depth, 0.2)) * value * self.unit
         for sign in (1, -1):
@@ -74,13 +76,13 @@ class RoadPeak(Term):
         return self._made(x, touching, touching=True)
 
     def reevaluate(self, x: Array, cuts: Sequence[tuple[int, float, float]]) -> Linearisation:
-        """Returns the signal at the same times, at another point."""
+        """Returns the signal for another gain at the same times."""
         _, y, slopes, _ = self._signal(x)
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in cuts]
         return self._made(x, again, touching=False)
 
     def _made(self, x: Array, peaks: Sequence[tuple[int, float, float]], touching: bool) -> Linearisation:
-        """Returns the values of the signal at given times, and their slopes by the entries of the gain."""
+        """Returns the values of the signal at given times, and their derivatives with respect to the entries of the gain."""
         slopes = np.zeros((len(peaks), *self.scale.shape))
         for row, (sign, at, _) in zip(slopes, peaks, strict=True):
             k = min(int(at), len(self.response.time) - 2)
@@ -90,12 +92,12 @@ class RoadPeak(Term):
         return Linearisation(values, slopes, np.full(len(peaks), touching), list(peaks))
 
     def _moved(self, x: Array, k: int) -> Array:
-        """Returns the gradient of the signal at one time by the entries of K, shape (m, q)."""
+        """Returns the derivatives of the signal at one time with respect to the entries of K, shape (m, q)."""
         states, _, _, _ = self._signal(x)
         K, plant, h = self._gain(x), self.driven.plant, self.response.h
         (A, c), after = self.driven.loop(K), self.driven.after(K)
         measured = states[: k + 1] @ (plant.Cy + plant.Dyu @ after @ K @ plant.Cy).T
-        # Derivative of the signal by the state at every earlier time, shape (k + 1, n).
+        # Derivatives of the signal with respect to the state at every earlier time, shape (k + 1, n).
         seen = homogeneous_response(A.T, c, h, k + 1)[::-1]
         weights = np.full(k + 1, h)
         weights[[0, -1]] /= 2
@@ -105,7 +107,10 @@ class RoadPeak(Term):
         return x.reshape(self.scale.shape) * self.scale
 
     def _signal(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns states, signal and slope over time, and the signal next to kinks of the road. The last result is cached."""
+        """Returns states, signal and its time derivative over time, and the signal next to kinks of the road.
+
+        The last result is cached.
+        """
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
             A, c = self.driven.loop(self._gain(x))
@@ -131,11 +136,12 @@ class Peak:
 
 
 def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
-    """Returns the largest |y| at all times after the start of the road; infinite if the loop is unstable.
+    """Returns the largest magnitude of the signal y at all times after the start of the road; infinite if the loop is unstable.
 
-    Between two times, the distance of the signal from the straight line through both ends is at most h^2 / 8 max |y''|. Next to
-    a kink of the road, the times are a millionth of a step apart. There, the change from one time to the next bounds this
-    distance. The free motion after the road is computed until a bound shows that all later motion is smaller.
+    Between two times a step h apart, the distance of the signal from the straight line through both ends is at most h^2 / 8 max
+    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. There, the change of the signal from one
+    time to the next bounds this distance. The free motion after the road is computed until a bound shows that all later motion
+    is smaller.
 
     Args:
         driven: plant on its road, with the signal.
@@ -172,7 +178,7 @@ def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
 
 
 def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
-    """Returns a bound on the signal within the steps that contain a kink."""
+    """Returns a bound on the magnitude of the signal within the steps that contain a kink."""
     highest, before, into = 0.0, 0.0, -1
     slope = 0.0
     for end, piece in zip(at_ends, response.pieces, strict=True):
@@ -180,8 +186,8 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
             into, before, slope = piece.step, float(y[piece.step]), np.nan
         change = float(end) - before
         now = change / piece.length
-        # Away from a kink, the slope changes little between intervals. Next to a kink, the bound includes the whole change of
-        # the signal.
+        # Away from a kink, the time derivative changes little from one interval to the next. Next to a kink, the bound includes
+        # the whole change of the signal.
         over = abs(change) if piece.at_kink or np.isnan(slope) else min(abs(change), BEND * abs(now - slope) * piece.length / 4)
         highest = max(highest, max(abs(before), abs(float(end))) + over)
         before, slope = float(end), np.nan if piece.at_kink else now
@@ -189,8 +195,8 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
-    """Returns the peak of the free motion after the last time if it exceeds the known peak, and a bound on this motion."""
-    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # road height after its end
+    """Returns the peak of the free motion after the last time step if it exceeds the known peak, and a bound on this motion."""
+    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # road height after the end of the road
     rest = np.linalg.solve(A, -(A @ driven.plant.Bw + driven.Br) @ z)
     level = float(c @ rest + (c @ driven.plant.Bw + driven.f) @ z)
     balanced, scale = balance(A)

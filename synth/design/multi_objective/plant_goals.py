@@ -1,4 +1,4 @@
-"""Conversion of goals, as in a vehicle file, to a problem for plants. The signals of these plants need not have names.
+"""Converts goals, written as in a vehicle file, to a problem for plants whose signals need not have names.
 
 The signals of a plant without names are y1, y2, ..., its forces are u1, u2, ..., and the rows of z are z1, z2, ...
 """
@@ -30,7 +30,7 @@ def posed_goals(
     """Returns the problem of given goals, without the individual optima of its members.
 
     Args:
-        members: plants of the family. Each has a plant for every entry of `norms_of`, and the data for its other bounds.
+        members: members of the family, each with a plant for every entry of `norms_of`, and with the data for its other bounds.
         measured: names of the q measured signals.
         forces: names of the m inputs.
     """
@@ -64,12 +64,12 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     """Returns the goals and their problem, for plants of the same size with the same measurements.
 
     Args:
-        where: prefix of messages.
-        section: `minimise`, `bounds`, `tolerance` and `structure` as in a vehicle file.
+        where: text with which messages begin.
+        section: keys `minimise`, `bounds`, `tolerance` and `structure`, as in a vehicle file.
         plants: the nominal plant, followed by the other plants.
 
     Raises:
-        InputError: a key or a number is not allowed, or the plants do not fit one another.
+        InputError: a key or a number is not allowed, or the plants differ in size.
     """
     first = plants[0]
     for i, plant in enumerate(plants[1:]):
@@ -108,7 +108,7 @@ def _names(letter: str, count: int) -> list[str]:
 
 
 def _with_outputs_of_norm(plant: Plant, norm: NormOf, outputs: Sequence[str]) -> Plant:
-    """Returns the plant whose output z contains the signals and weights of a norm goal."""
+    """Returns the plant with the weighted signals of a norm goal as its output z."""
     if norm.signals is None:
         return plant
     rows, weights = [outputs.index(name) for name in norm.signals], np.array([*norm.signals.values()])[:, None]
@@ -116,7 +116,7 @@ def _with_outputs_of_norm(plant: Plant, norm: NormOf, outputs: Sequence[str]) ->
 
 
 def _signal(where: str, plant: Plant, row: int, bound: EnergyBound) -> BoundedSignal:
-    """Returns the row of z that is bounded for disturbances of a given energy."""
+    """Returns a row of z as a signal whose magnitude is bounded for disturbances of a given energy."""
     if np.any(plant.Dw[row]) or np.any(plant.Dyw) or plant.dt is not None:
         raise InputError(
             f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts directly on "

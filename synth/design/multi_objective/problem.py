@@ -1,4 +1,4 @@
-"""Problem of multi-objective design: norms, bounds, gain errors and a structure; also its terms for given errors."""
+"""Problem of multi-objective design: norms, bounds, gain errors and a structure, and its terms for given gain errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,10 +35,10 @@ class NormSpecification(CheckedFields):
     """Norm in a frequency band that is minimised or bounded.
 
     Attributes:
-        which: index of the plant in `plants` of a member.
+        which: index of the plant in the attribute `plants` of a member.
         band: lower and upper frequency [rad/s].
-        at_most: bound on the norm; infinite for the norm that is minimised.
-        name: description for messages.
+        at_most: largest allowed norm; infinite for the norm that is minimised.
+        name: description of the norm, for messages.
 
     Raises:
         InputError: the band is empty, or a field is not allowed.
@@ -60,8 +60,8 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
     Args:
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n).
-        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
-        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
+        Dyw: direct effect of w on the measurements, shape (q, r); Default: zero.
+        through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
 
     Returns:
         A copy of the plant with these measurements.
@@ -81,12 +81,12 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
 @accept_former_names(posed="plants")
 @dataclass(frozen=True, eq=False)
 class FamilyMember(CheckedFields):
-    """Member of a family of plants, with the signals that are bounded.
+    """Member of a family of plants, with its bounded signals.
 
     Attributes:
-        plants: the plant with its measurements, once for each norm with the z of this norm.
-        driven_by: one entry per bounded peak: the plant, its road, and the bounded signal.
-        signals: signals of the first of `plants` that are bounded for disturbances of a given energy.
+        plants: the plant with its measurements, once for each norm; z contains the signals of this norm.
+        driven_by: one entry for each bounded peak, with the plant, its road, and the bounded signal.
+        signals: signals of the first plant in `plants` that are bounded for disturbances of a given energy.
     """
 
     plants: Annotated[tuple[Plant, ...], AT_LEAST_ONE]
@@ -96,7 +96,7 @@ class FamilyMember(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class GainErrors(CheckedFields):
-    """Relative gain errors: the controller receives (1 + sensors) y, and the forces (1 + forces) u act on the plant.
+    """Relative gain errors: the controller receives (1 + sensors) y, and the plant receives (1 + forces) u.
 
     Attributes:
         sensors: relative error of each measurement, shape (q,).
@@ -108,11 +108,11 @@ class GainErrors(CheckedFields):
 
     @property
     def key(self) -> bytes:
-        """Key that is equal for equal errors."""
+        """Dictionary key that is the same for equal errors."""
         return self.sensors.tobytes() + self.forces.tobytes()
 
     def on(self, plant: Plant) -> Plant:
-        """Returns the plant with these errors."""
+        """Returns the plant with these gain errors in its measurements and forces."""
         u, y = 1 + self.forces, 1 + self.sensors[:, None]
         if np.all(u == 1) and np.all(y == 1):
             return plant
@@ -122,21 +122,22 @@ class GainErrors(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class MultiObjectiveProblem(CheckedFields):
-    """Problem to minimise, over K, the largest norm of all members and gain errors, with bounds on other quantities.
+    """Problem of finding the K that minimises the largest norm over all members and errors, with bounds on other quantities.
 
     Attributes:
         members: members of the family; a single member for one plant.
         minimise: norm that is minimised.
         norms: bounds on norms.
         decay: required decay rate [rad/s], so that all poles have a real part below -decay; None requires only stability.
-        peaks: bound on the magnitude of each signal in `driven_by`.
-        gain: bound on |K_ij|; None if it is unbounded.
-        tolerance: largest gain errors.
+        peaks: largest allowed magnitude of each signal in `driven_by`.
+        gain: largest allowed |K_ij|; None if there is no limit.
+        tolerance: largest gain errors that must be tolerated.
         structure: mask of the entries of K that may be nonzero, shape (m, q).
-        bests: individual optima of the members, to minimise the largest ratio to them; None to minimise the largest norm.
+        bests: individual optima of the members, if the largest ratio of a norm to its individual optimum is minimised; None to
+            minimise the largest norm.
 
     Raises:
-        InputError: the parts do not fit one another.
+        InputError: the plants, norms, errors and structure do not fit together.
     """
 
     members: Annotated[tuple[FamilyMember, ...], AT_LEAST_ONE]
@@ -175,12 +176,12 @@ class MultiObjectiveProblem(CheckedFields):
 
     @property
     def has_errors(self) -> bool:
-        """True if the largest gain errors are not all zero."""
+        """True if some gain error must be tolerated."""
         return bool(np.any(self.tolerance.sensors) or np.any(self.tolerance.forces))
 
     @property
     def no_errors(self) -> GainErrors:
-        """Gain errors of zero."""
+        """Gain errors that are all zero."""
         m, q = self.shape
         return GainErrors(np.zeros(q), np.zeros(m))
 
@@ -203,16 +204,17 @@ class MultiObjectiveProblem(CheckedFields):
         return replace(self, members=(self.members[i],), bests=None)
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:
-        """Returns the landscape of a member's plant with given errors."""
+        """Returns the landscape of the norm for one plant of a member, with given gain errors."""
         return BandLandscape(errors.on(self.members[i].plants[which]), band, like)
 
     def nominal(self) -> BandLandscape:
-        """Returns the landscape of the first member without errors. This landscape defines the points of all landscapes."""
+        """Returns the landscape of the first member without errors. The points of all landscapes have the scales of this one."""
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 
-TIGHTER = 1e-7  # relative margin of the bounds, for rounding
-# relative margin of the decay rate with errors, because at the bound itself nothing can be proved for a whole box
+TIGHTER = 1e-7  # relative margin by which bounds are tightened, to allow for rounding
+# relative amount by which the required decay rate is raised if there are errors; at the bound itself, nothing can be proved for
+# a whole box of errors
 AND_FOR_ERRORS = 0.02
 
 
@@ -222,8 +224,8 @@ def objectives_of(
     """Returns the goals and the bounds of a problem for given gain errors.
 
     Args:
-        full: landscape that defines the points of all terms.
-        errors: gain errors. Each applies to norms and to the decay rate; peaks are computed without errors.
+        full: landscape whose scales define the points of all terms.
+        errors: gain errors. They apply to norms and to the decay rate; peaks are computed without errors.
         rate: required decay rate [rad/s]; 0 if there is no requirement.
     """
     goals: list[Term] = []
@@ -238,7 +240,7 @@ def objectives_of(
                 landscape = problem.landscape(i, norm.which, norm.band, each, full)
                 bounds.append(NormTerm(landscape, norm.at_most * (1 - TIGHTER), norm.name))
             if rate:
-                bounds.append(decay(problem, minimised, rate))  # uses the same loop, whose poles are already known
+                bounds.append(decay(problem, minimised, rate))  # uses the same loop, whose poles have already been computed
         for signal in member.signals:
             landscape = problem.landscape(i, which, band, problem.no_errors, full)
             bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))

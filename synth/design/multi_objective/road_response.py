@@ -2,9 +2,9 @@
 
 The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
 Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, no longer
-occurs. Between equidistant times, the convolution is computed by a quadrature of order 16. A step with a kink is split into
+appears. The convolution integral over each time step is computed by a quadrature of order 16. A step with a kink is split into
 intervals that become shorter towards the kink, from both sides. Between two times, the signal is approximated by the cubic
-through both values and slopes.
+polynomial with the values and derivatives at both times.
 """
 
 from collections.abc import Callable
@@ -17,23 +17,24 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
-NODES = 8  # nodes of the quadrature per step
-SMALLER = 24  # number of times that a step is halved towards a kink
-NEXT = 1e-6  # share of a step; a kink this close to the end of a step counts as being at the end
-FINE = 0.01  # time step as the phase of the fastest pole with control [rad]
+NODES = 8  # number of quadrature nodes in a step
+SMALLER = 24  # number of times that a step is halved on the way to a kink
+NEXT = 1e-6  # share of a step; a kink that is closer to the end of a step is treated as if it were at the end
+FINE = 0.01  # time step, as the phase angle by which the fastest pole with control turns [rad]
 MOST_FINE = 60_000  # largest number of steps on the road and shortly after it
-BLOCK, BLOCKS = 4096, 100  # steps per block of the free motion after that, and largest number of blocks
-BEND = 2.0  # factor for the curvature between two times, relative to the curvature computed from the slopes at these times
-ILL_CONDITIONED = 1e7  # condition number of the eigenvectors above which the recursion runs step by step
+BLOCK, BLOCKS = 4096, 100  # number of steps per block of the later free motion, and largest number of blocks
+BEND = 2.0  # safety factor on the curvature between two times, which is estimated from the derivatives at these times
+ILL_CONDITIONED = 1e7  # if the condition number of the eigenvectors is larger, the recursion runs step by step
 
 
 @dataclass(frozen=True, eq=False)
 class RoadExcitation:
-    """Road under the wheels of a vehicle, from time 0 to the end of the road.
+    """Road under the wheels of a vehicle as a function of time, from time 0 to the end of the road.
 
     Attributes:
         heights: function of times [s], shape (T,), that returns road heights [m], shape (T, r).
-        rates: function of times [s] that returns the derivatives of the heights [m/s], shape (T, r); arbitrary at a kink.
+        rates: function of times [s] that returns the derivatives of the heights [m/s], shape (T, r); the value at a kink is
+            arbitrary.
         kinks: times at which a derivative jumps [s], ascending.
         end: time after which the road heights are constant [s].
     """
@@ -51,10 +52,10 @@ class RoadLoop:
     The equations are x' = A x + B u + Bw z' + Br z and y = C_y x + Dyu u. The signal is C x + D u + f z.
 
     Attributes:
-        plant: plant with n states, m inputs and r wheels. C and D have a single row, that of the signal.
+        plant: plant with n states, m inputs and r wheels. C and D have a single row, for the signal.
         Br: effect of the road heights on the states, shape (n, r).
         f: effect of the road heights on the signal, shape (r,).
-        drive: road with its heights over time.
+        drive: road heights as functions of time.
         name: description of the signal and the road.
     """
 
@@ -81,12 +82,12 @@ class RoadLoop:
 
 @dataclass(frozen=True, eq=False)
 class QuadratureInterval:
-    """Interval within a step.
+    """Interval within a time step.
 
     Attributes:
-        step: index of the step.
+        step: index of the time step.
         start, length: start and length of the interval [s].
-        nodes: heights at the nodes of the quadrature, shape (NODES, r).
+        nodes: road heights at the nodes of the quadrature, shape (NODES, r).
         at_kink: True if one of the ends is a kink.
     """
 
@@ -98,12 +99,12 @@ class QuadratureInterval:
 
 
 class RoadResponse:
-    """Motion of closed loops of one plant on one road, at equidistant times.
+    """Motion of one plant with different gains over one road, at equidistant times.
 
     Attributes:
         h: time step [s].
         time: times from 0 [s], shape (T,).
-        pieces: intervals of the steps that contain a kink, in order.
+        pieces: intervals into which steps with a kink are split, in order of time.
     """
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
@@ -120,7 +121,7 @@ class RoadResponse:
         self.at_nodes = self._nodes(self.time[:-1], np.full(count, step))
         self.z, self.rates = drive.heights(self.time), drive.rates(self.time)
         self.pieces: list[QuadratureInterval] = []
-        # a kink between two steps belongs to both
+        # a kink between two steps belongs to both steps
         beside = np.concatenate([drive.kinks / step - NEXT, drive.kinks / step + NEXT])
         for k in np.unique(np.floor(beside).astype(int)):
             if 0 <= k < count:
@@ -130,7 +131,7 @@ class RoadResponse:
         self.piece_lengths = np.array([piece.length for piece in self.pieces])
         self.piece_nodes = np.array([piece.nodes for piece in self.pieces]).reshape(len(ends), *self.at_nodes.shape[1:])
         self.piece_steps = np.array([piece.step for piece in self.pieces], dtype=int)
-        self.piece_ends = ends - self.time[self.piece_steps]  # relative to the beginning of their steps
+        self.piece_ends = ends - self.time[self.piece_steps]  # relative to the beginning of the steps
 
     def _split(self, k: int) -> list[QuadratureInterval]:
         """Splits a step with kinks into intervals."""
@@ -154,7 +155,7 @@ class RoadResponse:
         return self.driven.drive.heights(times.ravel()).reshape(len(starts), NODES, -1)
 
     def motion(self, A: Array) -> tuple[Array, Array]:
-        """Returns xi of a loop with matrix A at all times, shape (T, n), and at the ends of all intervals, shape (P, n)."""
+        """Returns the motion xi for the loop matrix A at all times, shape (T, n), and at the ends of intervals, shape (P, n)."""
         values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # real if all poles are real
         E = A @ self.driven.plant.Bw + self.driven.Br
         try:
@@ -166,7 +167,7 @@ class RoadResponse:
             return self._step_by_step(A, E)
         from scipy.signal import lfilter  # half a second
 
-        # Only one mode of each conjugate pair is computed, and counts twice.
+        # Only one mode of each conjugate pair is computed; its contribution is doubled.
         mask = np.imag(values) >= 0
         twice = np.where(np.imag(values[mask]) > 0, 2.0, 1.0)
         values, vectors, driven = values[mask], vectors[:, mask] * twice, inverse[mask] @ E
@@ -175,7 +176,8 @@ class RoadResponse:
         decays = np.exp(self.piece_lengths[:, None] * values)
         kernel = self.piece_lengths[:, None, None] * self._kernel(values, self.piece_lengths[:, None, None])
         of_road = ((self.piece_nodes @ driven.T) * kernel).sum(axis=1)
-        for i, step in enumerate(self.piece_steps):  # from zero at the beginning of the step; the previous motion is added later
+        # starts from zero at the beginning of the step; the previous motion is added later
+        for i, step in enumerate(self.piece_steps):
             if step != into:
                 into, state = step, np.zeros(len(values), complex)
             ends[i] = forcing[step] = state = decays[i] * state + of_road[i]
@@ -186,7 +188,7 @@ class RoadResponse:
         return _real_product(modes, vectors.T), _real_product(ends, vectors.T)
 
     def _kernel(self, values: Array, lengths: Array | float) -> Array:
-        """Returns the weights of the quadrature nodes in the modes, for steps of given lengths, shape (..., NODES, n)."""
+        """Returns the weight of each quadrature node in each mode, for steps of given lengths, shape (..., NODES, n)."""
         return self.w[:, None] * np.exp(lengths * values * (1 - self.s[:, None]))
 
     def _modal(self, values: Array, driven: Array) -> Array:
@@ -196,7 +198,7 @@ class RoadResponse:
         return flat @ weights.real + 1j * (flat @ weights.imag)
 
     def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
-        """Returns the motion as in `motion`, but step by step, for loops whose modes lose too many digits."""
+        """Returns the same as `motion`, but computed step by step, for loops whose modal form is too inaccurate."""
 
         def kernels(length: float) -> Array:
             return np.stack([w * length * linalg.expm(A * length * (1 - s)) @ E for s, w in zip(self.s, self.w, strict=True)])
@@ -216,7 +218,7 @@ class RoadResponse:
         return states, ends
 
     def signal(self, A: Array, c: Array, motion: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        """Returns a loop's signal and slope at all times, shapes (T,), and its signal at the ends of intervals, shape (P,)."""
+        """Returns a signal and its derivative at all times, shapes (T,), and the signal at the ends of intervals, shape (P,)."""
         states, ends = motion
         driven = self.driven
         Bw = driven.plant.Bw
@@ -225,9 +227,9 @@ class RoadResponse:
         return states @ c + self.z @ direct, slopes, ends @ c + self.z_ends @ direct
 
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:
-        """Returns the maxima of the cubics between neighbouring times, and their positions, shapes (T-1,) each.
+        """Returns the maxima of the cubics between neighbouring times, and their positions, each of shape (T-1,).
 
-        Positions are in steps from time 0. In a step with a kink, only its ends count.
+        A position is a number of steps from time 0. In a step with a kink, only the two ends are considered.
 
 
         Args:
@@ -237,7 +239,7 @@ class RoadResponse:
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):
             root = np.sqrt(np.maximum(c2 * c2 - 3 * c3 * c1, 0.0))
-            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # in a form without cancellation
+            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # written so that no digits cancel
         best, where = values[:-1].copy(), np.zeros(len(c1))
         smooth = np.ones(len(c1), dtype=bool)
         smooth[[piece.step for piece in self.pieces]] = False
@@ -265,14 +267,18 @@ def _real_product(a: Array, b: Array) -> Array:
 
 
 def _finite(rates: Array) -> Array:
-    """Returns the rates with zeros at vertical edges of the road, where the cubics are not used."""
+    """Returns the rates with infinite values replaced by zero.
+
+    They occur at vertical edges of the road, where cubics are not used.
+    """
     return np.where(np.isfinite(rates), rates, 0.0)
 
 
 def step_for(rate: float, share: float, end: float) -> float:
     """Returns the time step for the fastest motion and for the road.
 
-    The step is a share of a radian of the fastest motion. A short road reduces the step, at most to an eighth.
+    In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is shorter, down to an
+    eighth.
 
     Args:
         rate: magnitude of the fastest pole [rad/s].
@@ -284,7 +290,7 @@ def step_for(rate: float, share: float, end: float) -> float:
 
 
 def homogeneous_response(A: Array, x: Array, h: float, count: int) -> Array:
-    """Returns exp(A k h) x for k = 0, 1, ... by doubling, shape (count, n)."""
+    """Returns exp(A k h) x for k = 0, 1, ..., computed by repeated doubling, shape (count, n)."""
     responses, power = x[None], linalg.expm(A * h)
     while len(responses) < count:
         responses = np.concatenate([responses, responses @ power.T])

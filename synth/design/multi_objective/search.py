@@ -1,13 +1,14 @@
-"""Search for the gain with the smallest goal within its bounds, from many starts.
+"""Search for the gain that minimises the goal and fulfils all bounds, from many starting points.
 
-- Starts that make all loops stable are ranked. A few of the best descend for some rounds, and the best of these descends until
-  it converges.
-- If the gain is unbounded, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
-  justifies this.
-- The active gain errors are all vertices of the box if there are few, otherwise the worst errors found so far. Only the
+- Starting points that make all loops stable are ranked. From a few of the best points, the search descends for some rounds.
+    From the best of the results, it descends until it converges.
+- If the gain has no limit, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
+    justifies the growth.
+- If the box of gain errors has few vertices, all of them are taken into account ("active"); otherwise, only the worst errors
+    found so far. Only the
   certificate proves that no error in the box is worse.
-- Every start and every end of a descent is checked for errors that make a loop unstable. If no decay rate is required, the
-  slowest pole must keep a tenth of the decay rate that the best start has with errors.
+- At every starting point and at the end of every descent, the search looks for errors that make a loop unstable. If no decay
+    rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with errors.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -28,31 +29,32 @@ from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
-LARGEST_GAIN = 1e5  # largest entry of an unbounded gain, in units of a point, while bounds are violated
-DEAREST = 32.0  # limit on the entries while a goal is lowered: this multiple of one, or of a larger gain of the start
-MOST_VERTICES = 4  # largest number of vertices of a box of errors that are all active from the beginning
-ENTERED_STARTS = 5  # number of starts that descend for some rounds
+LARGEST_GAIN = 1e5  # largest entry of a gain without limit, in units of a point, while bounds are violated
+DEAREST = 32.0  # limit on the entries while a goal is lowered, as a multiple of one, or of the starting gain if it is larger
+MOST_VERTICES = 4  # if a box of errors has at most this many vertices, all of them are active from the beginning
+ENTERED_STARTS = 5  # number of starting points from which the search descends for some rounds
 GLANCE, ROUNDS = 15, 80  # number of rounds of a short and of a full descent
-TURNS = 12  # largest number of descents, each with more active errors
-TURNS_ON = 6  # number of short descents that improve a given gain
-MET_TOLERANCE = 1e-6  # relative: errors that worsen a value by less are ignored
-ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative decrease that ends a descent, while errors still violate the result, and finally
+TURNS = 12  # largest number of descents; each one includes more active errors
+TURNS_ON = 6  # number of short descents in `improvement`
+MET_TOLERANCE = 1e-6  # relative amount; errors that worsen a value by less are ignored
+# a descent ends at these relative decreases: while errors still violate the result, and for the final result
+ROUGHLY, CLOSELY = 1e-3, 1e-6
 SLOWER = 0.1  # share of the best start's decay rate that is kept if no decay rate is required
 UNSTABLE = (
     "no static gain was found that stabilises every loop of the goals; give a smaller tolerance, fewer vehicles, or more "
     "signals and entries of the gain"
 )
-RANK = 30.0  # weight of a violated bound in the rank of a start
+RANK = 30.0  # weight of a violated bound in the rank of a starting point
 
 
 class MinimaxSearch:
-    """Search for one problem."""
+    """Search for the best gain of one problem."""
 
     def __init__(self, problem: MultiObjectiveProblem, on_progress: Progress) -> None:
         self.problem, self.full = problem, problem.nominal()
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
-        self.safe_point: Array | None = None  # the last point that was checked and is stable with all errors found
+        self.safe_point: Array | None = None  # last point at which all loops are stable with every gain error found so far
         self.worst = WorstCaseErrors(problem)
         self.stable_starts: list[Array] = []
         self.rate = problem.decay or 0.0  # required decay rate [rad/s]
@@ -62,7 +64,7 @@ class MinimaxSearch:
         self.settled = ROUGHLY if problem.has_errors else CLOSELY
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
-        """Runs the search. Returns the last point, its evaluation, and the rejected decrease of `MultiObjectiveDesign`."""
+        """Runs the search. Returns the final point, its evaluation, and `rejected_improvement` of `MultiObjectiveDesign`."""
         x, evaluation = self.best(starts, otherwise)
         refused, rough = None, self.settled == ROUGHLY
         for turn in range(TURNS):
@@ -80,27 +82,27 @@ class MinimaxSearch:
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
                 if self.settled == CLOSELY:
                     break
-                self.settled = CLOSELY  # no further error violates the result, so it is computed accurately
+                self.settled = CLOSELY  # no other error violates the result, so the result is now computed accurately
                 continue
-            self.incumbent = None  # the stored point belongs to fewer errors
+            self.incumbent = None  # the stored point was evaluated with fewer errors
             x, evaluation = self.nearest_stable_point(x)
         if not evaluation.within:
             x, evaluation = self.restore_feasibility(x)
         if not evaluation.within:
             raise DesignError(self.explain_infeasibility(x))
-        if self.worst.unstable(self.full.gain(x)):  # every turn finds further errors
+        if self.worst.unstable(self.full.gain(x)):  # every turn found more errors
             raise DesignError(UNSTABLE)
         return x, evaluation, refused
 
     def improvement(self, gain: Array, errors: Sequence[GainErrors]) -> tuple[Array, Evaluation] | None:
-        """Descends from a gain for some rounds. Returns the best point within the bounds; None if there is no such point.
+        """Descends from a gain for some rounds. Returns the best point that fulfils all bounds; None if there is no such point.
 
         The number of rounds, `TURNS_ON` times `GLANCE`, is fixed. There is no time limit, so the result is the same on every
         computer.
 
         Args:
             gain: gain with stable loops, shape (m, q).
-            errors: gain errors that are active from the beginning, in addition to zero errors.
+            errors: gain errors that are taken into account from the beginning, in addition to the case without errors.
         """
         self.settled = ROUGHLY
         self.activate(self.new_errors(errors))
@@ -119,7 +121,7 @@ class MinimaxSearch:
         return best
 
     def keep_decay(self, x: Array) -> None:
-        """Requires a share of the decay rate that a point has with errors."""
+        """Requires that the decay rate stays above a share of the decay rate that a point has with errors."""
         self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(x))[0] for i in range(len(self.problem.members)))
         self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
         self.incumbent = None  # the stored point may decay more slowly
@@ -146,7 +148,7 @@ class MinimaxSearch:
             self.incumbent = x, evaluation
 
     def norms(self) -> list[NormTerm]:
-        """Returns the minimised norms of all loops."""
+        """Returns the norms that are minimised, one for each loop."""
         return [term for term in self.minimax.goals if isinstance(term, NormTerm)]
 
     def moved(self, x: Array, evaluation: Evaluation) -> None:
@@ -165,11 +167,11 @@ class MinimaxSearch:
         return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
-        """Returns the directions that the structure allows, scaled to equal weight, as columns."""
+        """Returns the directions in which the structure allows changes, scaled so that all have equal weight, as columns."""
         return directions(self.full, x, self.free)
 
     def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation]:
-        """Returns the best of the starts after some rounds of descent."""
+        """Returns the best result after some rounds of descent from the starting points."""
         points = self.points(starts)
         points += [0.5 * x for x in points] + [np.zeros(self.full.scale.size)]
         given = {x.tobytes() for x in points}
@@ -177,13 +179,13 @@ class MinimaxSearch:
         ranked = self.stable_with_errors(points, otherwise)
         self.stable_starts = ranked
         if not self.rate:
-            # random gains may rank best because they are slow
+            # random gains may rank best only because their loops are slow
             self.keep_decay(next((x for x in ranked if x.tobytes() in given), ranked[0]))
         self.safe_point = ranked[0]
         return min((self.brief_descent(x) for x in ranked[:ENTERED_STARTS]), key=lambda each: self.cost(*each))
 
     def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
-        """Returns the starts whose loops are stable with all errors found so far, by increasing cost."""
+        """Returns the starting points whose loops are stable with all errors found so far, in ascending order of cost."""
         for _ in range(TURNS):
             ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points])
             if not ranked:
@@ -202,12 +204,12 @@ class MinimaxSearch:
         raise DesignError(UNSTABLE)
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
-        """Returns the points of gains, after applying the structure and the limit on the entries."""
+        """Returns the points of gains to which the structure and the limit on the entries are applied."""
         limit, mask = self.minimax.limit, self.problem.structure
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
     def brief_descent(self, x: Array) -> tuple[Array, Evaluation]:
-        """Descends for a few rounds. If the gain is unbounded, it may at most double."""
+        """Descends for a few rounds. If the gain has no limit, it may at most double."""
         whole = self.minimax.limit
         if self.problem.gain is None:
             self.minimax.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
@@ -217,7 +219,7 @@ class MinimaxSearch:
             self.minimax.limit = whole
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
-        """Returns the cost of a point. If the gain is unbounded, twice the gain must lower the goal by enough."""
+        """Returns the cost of a point. If the gain has no limit, the cost includes a penalty on the size of the gain."""
         worth = price(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + worth)
 
@@ -238,7 +240,7 @@ class MinimaxSearch:
         return best, minimax.evaluate(best)
 
     def nearest_stable_point(self, x: Array) -> tuple[Array, Evaluation]:
-        """Returns the point, or another point, at which all loops are stable with all active errors."""
+        """Returns the given point, or another point if needed, at which all loops are stable with all active errors."""
         sure = [] if self.safe_point is None else [self.safe_point]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:
@@ -249,11 +251,11 @@ class MinimaxSearch:
         raise DesignError(UNSTABLE)
 
     def rank(self, evaluation: Evaluation) -> float:
-        """Returns the rank of a start; a smaller rank is better."""
+        """Returns the rank of a starting point; a smaller rank is better."""
         return evaluation.goal * (1 + RANK * max(evaluation.excess, 0.0))
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
-        """Returns the stabilising points by increasing cost, without duplicates."""
+        """Returns the stabilising points in ascending order of cost, without duplicates."""
         heights = [(self.cost(x, self.evaluate(x)), i) for i, x in enumerate(points)]
         stable = sorted((cost, i) for cost, i in heights if np.isfinite(cost))
         kept: list[tuple[float, Array]] = []
@@ -263,7 +265,7 @@ class MinimaxSearch:
         return [x for _, x in kept]
 
     def stabilised(self, x: Array) -> Array:
-        """Lowers the largest real part of the poles of all loops from a point. Returns the new point."""
+        """Lowers the largest real part of the poles of all loops, starting from a point. Returns the new point."""
         moved = lower_poles([term.landscape for term in self.norms()], x, self.free)
         return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 
@@ -272,7 +274,7 @@ class MinimaxSearch:
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved, flat=FLAT * self.settled / CLOSELY)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
-        """Descends until convergence: in one stage if the gain is bounded, otherwise in stages of a growing gain."""
+        """Descends until convergence: in one stage if the gain has a limit, otherwise in stages with a growing gain."""
         if self.problem.gain is not None:
             return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
@@ -290,7 +292,7 @@ class MinimaxSearch:
         return x, evaluation, refused and refused[0]
 
     def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
-        """Repeats descents, each in new coordinates, until a descent has no effect."""
+        """Repeats the descent, each time in new coordinates, until it has no effect."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
             if not self.rank(there) < self.rank(evaluation) * (1 - self.settled):
@@ -310,19 +312,19 @@ class MinimaxSearch:
         return bool(fresh)
 
     def new_errors(self, errors: Iterable[GainErrors]) -> list[GainErrors]:
-        """Returns the errors that are not active yet, without duplicates."""
+        """Returns the given errors that are not yet active, without duplicates."""
         met = {each.key for each in self.active_errors}
         return list({each.key: each for each in errors if each.key not in met}.values())
 
     def activate(self, errors: Sequence[GainErrors]) -> None:
-        """Activates gain errors: adds their goals and bounds to the problem."""
+        """Activates gain errors: the goals and bounds with these errors are added to the problem."""
         self.active_errors += errors
         goals, bounds = objectives_of(self.problem, self.full, errors, self.rate)
         self.minimax.goals += goals
         self.minimax.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
 
     def tighten_peak_bounds(self, x: Array) -> bool:
-        """Recomputes the road peaks accurately, and tightens each bound that is exceeded. Returns True if there was one."""
+        """Computes the road peaks accurately, and tightens each bound that is exceeded. Returns True if a bound was exceeded."""
         tighter = False
         for term in self.minimax.bounds:
             if isinstance(term, RoadPeak) and term.value(x) <= 1 + BOUND_TOLERANCE:

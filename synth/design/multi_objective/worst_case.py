@@ -1,6 +1,6 @@
-"""Search for the worst gain errors of a loop: at the vertices of their box for a norm, in the whole box for the slowest pole.
+"""Search for the worst gain errors: at the vertices of the box for a norm, in the whole box for the slowest pole.
 
-A loop with errors equals the loop without errors with the gain (1 + forces) K (1 + sensors).
+A loop with errors is the same as a loop without errors that has the gain (1 + forces) K (1 + sensors).
 """
 
 from collections.abc import Iterator
@@ -13,8 +13,9 @@ from synth.design.multi_objective.band_norm import Band, BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
 TURNS = 4  # largest number of passes over all errors
-NOT_STABLE = 1e6  # value of a bound for an unstable loop
-CORNERS = 8  # largest number of errors for which all vertices are tried; with more, 2^8 random vertices for the slowest pole
+NOT_STABLE = 1e6  # value that a bound has for an unstable loop
+# with at most this many errors, all vertices are tried; with more, 2^8 random vertices are tried for the slowest pole
+CORNERS = 8
 INSIDE = 64  # number of points inside the box that are tried
 SEED = 20261122
 
@@ -29,9 +30,10 @@ class WorstCaseErrors:
         self.landscape = cache(self._landscape)
 
     def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, GainErrors]]:
-        """Yields the worst errors of every member for the goal, for every bound on a norm, and for the decay rate.
+        """Yields, for every member, the worst errors for the goal, for each bound on a norm, and for the decay rate.
 
-        Each item contains a value relative to the known goal or to the bound. Errors with a value above 1 are worse than known.
+        Each item contains the errors and a value relative to the known goal or to the bound. A value above 1 means that the
+        errors are worse than all known errors.
 
         Args:
             K: gain, shape (m, q).
@@ -48,9 +50,10 @@ class WorstCaseErrors:
                 yield self.of_decay(i, rate, K)
 
     def of_norm(self, i: int, norm: NormSpecification, unit: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest norm of a member, relative to `unit`, and its errors.
+        """Returns the largest norm of a member, relative to `unit`, and the errors that cause it.
 
-        With few errors, all vertices of the box are tried. With many errors, the search changes one error at a time.
+        If there are few errors, all vertices of the box are tried. If there are many errors, the search changes one error at a
+        time.
         """
         landscape = self.landscape(i, norm.which, norm.band)
 
@@ -82,21 +85,21 @@ class WorstCaseErrors:
         return best, self._errors(worst)
 
     def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the slowest pole of a member in the form of `Decay`, and its errors."""
+        """Returns the value of `Decay` for the slowest pole of a member, and the errors that cause it."""
         real, errors = self.slowest(i, K)
         return min(2 + real / rate, NOT_STABLE), errors
 
     def unstable(self, K: Array) -> list[GainErrors]:
-        """Returns the worst errors of each member whose loop the errors make unstable."""
+        """Returns, for each member that errors can make unstable, the worst errors."""
         if not len(self.free):
             return []
         slowest_of = (self.slowest(i, K) for i in range(len(self.problem.members)))
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest real part of the poles that the gain can move [rad/s], over all points tried, and its errors.
+        """Returns the largest real part of the poles that the gain can change [rad/s], over all errors tried, and these errors.
 
-        The value is infinite if a loop has no solution. For a discrete plant, the poles are those of its continuous image.
+        The value is infinite if a loop has no solution. For a discrete plant, the poles of its continuous counterpart are used.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
         if count > CORNERS:
@@ -104,7 +107,7 @@ class WorstCaseErrors:
             tried[:, self.free] = rng.choice((-1.0, 1.0), (len(tried), count))
         else:
             tried = self._vertices()
-        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first of these points is without errors
+        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first of these points is the case without errors
         inside[1:, self.free] = rng.uniform(-1, 1, (INSIDE, count))
         tried = np.concatenate([tried, inside])
         best, worst = -np.inf, tried[0]
@@ -114,21 +117,21 @@ class WorstCaseErrors:
             if not values[k] > best:
                 return best, self._errors(worst)
             best, worst = float(values[k]), tried[k]
-            # all errors unchanged except one, which is at its lower or upper end
+            # only one error is changed, to its lower or upper end
             tried = np.repeat(worst[None], 2 * count, axis=0)
             tried[np.arange(2 * count), np.tile(self.free, 2)] = np.repeat((-1.0, 1.0), count)
             if not count:
                 return best, self._errors(worst)
 
     def _vertices(self) -> Array:
-        """Returns all vertices of the box, in units of the box, shape (2^k, q + m)."""
+        """Returns all vertices of the box, as multiples of its half-widths, shape (2^k, q + m)."""
         count = len(self.free)
         vertices = np.zeros((2**count, len(self.sides)))
         vertices[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
         return vertices
 
     def _slowest(self, i: int, K: Array, signs: Array) -> Array:
-        """Returns the largest real parts, shape (N,), for errors in units of the box, shape (N, q + m)."""
+        """Returns the largest real parts of poles, shape (N,), for errors in units of the box, shape (N, q + m)."""
         landscape = self.landscape(i, self.problem.minimise.which, self.problem.minimise.band)
         points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
         own, plant = slice(landscape.own), landscape.plant
@@ -153,13 +156,13 @@ class WorstCaseErrors:
 def worst_of_norm(
     problem: MultiObjectiveProblem, i: int, norm: NormSpecification | None, unit: float, K: Array
 ) -> tuple[float, GainErrors]:
-    """Returns the largest value of a member that the search finds, and its errors.
+    """Returns the largest value of a member that the search finds, and the errors that cause it.
 
     Args:
         problem: multi-objective problem of the member.
         i: index of the member.
         norm: norm that is evaluated; None for the decay rate.
-        unit: value that counts as one; for the decay rate, the required rate [rad/s].
+        unit: reference value, relative to which the result is given; for the decay rate, the required rate [rad/s].
         K: gain, shape (m, q).
     """
     worst = WorstCaseErrors(problem)

@@ -1,1 +1,1 @@
-"""Gain errors of measurements and forces: worst case, bounds for all errors, and the largest errors that a law tolerates."""
+"""Gain errors of measurements and forces: the worst case, bounds for all errors, and the largest tolerated errors."""

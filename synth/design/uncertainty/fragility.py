@@ -1,7 +1,8 @@
-"""Fragility of a law: tolerated errors of its measurements, forces and coefficients, and their cost, as text and as JSON.
+"""Fragility of a law: errors of measurements, forces and coefficients that it tolerates, and their effect on the norm.
 
-Each margin has two limits: a box of errors for which the property is proved, and errors for which it fails. With one force,
-errors of the entries of its gain include an error of the force. With several forces, each force has its own error in addition.
+Each margin has two limits: a box of errors for which the property is proved, and errors for which the property fails. If there
+is one force, an error of this force has the same effect as equal errors of all measurements. If there are several forces, each
+force has its own error in addition.
 """
 
 import math
@@ -25,7 +26,7 @@ from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 
 INT16 = 2**15 - 1  # largest integer
-FLOAT16 = 2.0**15  # a matrix with a larger entry is divided by the smallest power of two that brings the entry below this
+FLOAT16 = 2.0**15  # a matrix with a larger entry is divided by the smallest power of two that makes the entry smaller than this
 FORMATS = ("int16", "float16")
 
 
@@ -33,7 +34,7 @@ def rounding(law: LinearLaw, closed: Callable[[LinearLaw], tuple[Plant, Feedback
     """Returns the certificates of a law whose coefficients are rounded to each of `FORMATS`.
 
     Args:
-        closed: function that returns the plant and the gain of a law.
+        closed: function that returns, for a law, the plant with the states of the law and the gain.
         plant: plant without the law's states.
     """
     return {to: certify_tightly(*closed(round_law(law, to)), plant_without_law=plant) for to in FORMATS}
@@ -43,8 +44,8 @@ def round_law(law: LinearLaw, to: str) -> LinearLaw:
     """Returns a law with its matrices rounded to another number format.
 
     Args:
-        to: "int16", relative to the largest entry of each matrix; or "float16", divided by a power of two if an entry is too
-            large.
+        to: number format: "int16", relative to the largest entry of each matrix; or "float16", for which a matrix is divided by
+            a power of two if an entry is too large.
     """
     number = {"int16": _int16, "float16": _float16}[to]
     return LinearLaw(number(law.A), number(law.B), number(law.C), number(law.D), law.sample_period)
@@ -61,31 +62,32 @@ def _float16(matrix: Array) -> Array:
     return (matrix / scale).astype(np.float16).astype(float) * scale
 
 
-SHARES = (0.01, 0.1)  # allowed increases of the norm due to errors, relative
-# amounts that are tried along a ray; the largest amount 1 means that a measurement or force may be missing
+SHARES = (0.01, 0.1)  # allowed relative increases of the norm due to errors
+# sizes of errors that are tried along a ray; the largest size, 1, means that a measurement or force may be missing
 AMOUNTS = tuple(0.75**k for k in reversed(range(20)))
-# number of factors up to which every corner is a ray; with more, a vertex search in boxes of these sizes gives the rays
+# with at most EACH factors, every corner of the box gives a ray; with more factors, a vertex search in boxes of SIZES gives the
+# rays
 EACH = 3
 SIZES = (0.05, 0.25, 1.0)
-EXACT = 1e-10  # relative accuracy of an amount along a ray
-WITHIN = 1e-3  # relative; in a box that is smaller by this much, errors inside are searched that have the same effect
-TURNS = 4  # largest number of repetitions
-# relative; by how much smaller the boxes are in which a proof of stability is tried
+EXACT = 1e-10  # relative accuracy of the size of an error along a ray
+WITHIN = 1e-3  # relative amount by which a box is made smaller; in this box, errors with the same effect are searched
+TURNS = 4  # largest number of repetitions of this search
+# relative amounts by which boxes are smaller than the smallest harmful errors; for these boxes, a proof of stability is tried
 CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
-CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # the same for a proof of a norm
-LOOSELY = 4.0  # multiple of the largest norm found in a box; a proof of stability uses this bound
+CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # the same amounts for a proof of a bound on the norm
+LOOSELY = 4.0  # a proof of stability proves this multiple of the largest norm found in a box
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorMargin:
-    """Margin of relative errors.
+    """Margin of relative gain errors: a size that is proved harmless, and a size that is harmful.
 
     Attributes:
         proved_margin: errors up to this size, in any combination, are proved harmless; 0 if nothing is proved.
         bound: proved bound on the norm for these errors; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors found; infinite if no errors up to 1 are harmful.
-        readings, forces: the smallest harmful errors, relative, shapes (q,) and (m,). If there are none, these are 1 and -1
-            along the worst ray.
+        readings, forces: smallest harmful relative errors of measurements and forces, shapes (q,) and (m,). If no errors are
+            harmful, the values are 1 and -1 along the worst ray.
         proof: type of the proof; empty if nothing is proved.
     """
 
@@ -99,14 +101,14 @@ class ErrorMargin:
 
 @dataclass(frozen=True, eq=False)
 class Fragility:
-    """Errors of measurements and forces that a loop tolerates.
+    """Fragility of a loop: relative errors of measurements and forces that the loop tolerates.
 
     Attributes:
         norm: norm without errors.
         stable: margin of errors up to which the loop remains stable.
-        heights: norm as a function of the factors.
-        rays: directions to corners of boxes along which errors are tried, shape (k, q + m).
-        shares: allowed relative increases of the norm, for `within`.
+        heights: norm as a function of the factors on measurements and forces.
+        rays: directions along which errors are tried, from the centre of a box to k corners, shape (k, q + m).
+        shares: allowed relative increases of the norm, which are the keys of `within`.
     """
 
     norm: float
@@ -128,7 +130,7 @@ def fragility(gain: ScaledGain, norms: bool = True) -> Fragility:
 
     Args:
         gain: loop with factors for its measurements and forces.
-        norms: False to examine stability only, because the norm of `gain` is not the norm of the loop.
+        norms: False to examine only stability, if the norm of `gain` is not the norm of the loop.
 
     Raises:
         ValueError: the loop is unstable without errors.
@@ -152,7 +154,7 @@ def _at(gain: ScaledGain, errors: Array | float) -> Array:
 
 
 def _rays(heights: WorstCaseNormFunction) -> Array:
-    """Returns the directions to corners of boxes along which errors are tried, with entries 1, -1 and 0, shape (k, q + m)."""
+    """Returns the k directions along which errors are tried, with entries 1, -1 and 0, shape (k, q + m)."""
     whole = box_of_all(heights.gain, 1.0)
     if len(whole.uncertain) <= EACH:
         corners = whole.vertices
@@ -162,7 +164,7 @@ def _rays(heights: WorstCaseNormFunction) -> Array:
 
 
 def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMargin:
-    """Returns the margin of errors until the norm exceeds a level; for an infinite level, until the loop is unstable."""
+    """Returns the margin of errors for which the norm stays below a level or, for an infinite level, the loop stays stable."""
     gain = heights.gain
     amount, errors = _along_rays(heights, rays, level)
     for _ in range(TURNS):
@@ -177,7 +179,7 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
     errors_at = errors_of(gain, _at(gain, errors))
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     sizes = [min(amount, 1.0) * (1 - smaller) for smaller in (tried if np.isfinite(amount) else (0.0, *tried))]
-    proved, bound, kind, middle = 0.0, np.inf, "", 0  # the largest box, which is tried first, is usually proved
+    proved, bound, kind, middle = 0.0, np.inf, "", 0  # the largest box is tried first, and the proof usually succeeds
     while sizes:  # a proof for a box is also valid for smaller boxes
         box, within = box_of_all(gain, sizes[middle]), WorstCaseNormFunction(gain)
         if np.isinf(level):
@@ -192,9 +194,9 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 
 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
-    """Returns the smallest amount along the rays that exceeds a level, and its errors.
+    """Returns the smallest size of errors along the rays for which the norm exceeds a level, and these errors.
 
-    If no amount exceeds the level, the result is infinite, with the errors at the end of the ray with the largest norm.
+    If the norm never exceeds the level, the size is infinite, and the errors are the end of the ray with the largest norm.
     """
     best, at = np.inf, None
     for ray in rays:
@@ -215,7 +217,7 @@ def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tu
 
 
 def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, level: float) -> float:
-    """Bisects the amount along a ray at which a level is exceeded, between an amount below and an amount above."""
+    """Returns the size of errors along a ray at which the norm reaches a level, by bisection between two sizes."""
     while high - low > EXACT * high:
         middle = (low + high) / 2
         over = heights.exceeds(_at(heights.gain, middle * ray), level)
@@ -224,7 +226,7 @@ def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, l
 
 
 NOTHING = 1e-12  # a smaller error counts as zero
-SAME = 1e-9  # relative; two norms that differ by less are equal, because two methods differ by as much
+SAME = 1e-9  # norms that differ by less than this relative amount count as equal, because two methods differ by as much
 
 
 def record(
@@ -255,7 +257,7 @@ def record(
 
 
 def whose(report: Fragility) -> str:
-    """Returns the names of the quantities with errors, as text."""
+    """Returns a text that names the quantities with errors."""
     return "measurements and forces" if len(report.stable.forces) > 1 else "measurements"
 
 
@@ -264,13 +266,13 @@ def _percents(share: float, form: str = ".4g") -> str:
 
 
 def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """Returns the harmful errors by signal, as text; if no errors are harmful, those along the worst ray."""
+    """Returns a text with the harmful error of each signal; if no errors are harmful, with the errors along the worst ray."""
     named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
     return ", ".join(f"{name} {_percents(error, '+.4g')}" for name, error in named if abs(error) > NOTHING) or "none"
 
 
 def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """Returns the fragility of a law as a sentence."""
+    """Returns a sentence about the fragility of a law."""
     found, errors, proved = report.stable.smallest_violation, errors_text(report.stable, measured, forces), proved_text(report)
     if not math.isfinite(found):
         return f"fragility: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
@@ -295,7 +297,7 @@ def _proved_text(one: ErrorMargin, what: str) -> str:
 
 
 def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
-    """Returns the effect of rounded coefficients on the norm as a sentence; empty if there are no rounded coefficients."""
+    """Returns a sentence about the effect of rounded coefficients on the norm; empty if no coefficients are rounded."""
     said = []
     for name, one in rounding.items():
         bound = f", proved below {digits(one.bound)}" if one.bound is not None else ""

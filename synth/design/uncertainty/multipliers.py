@@ -1,7 +1,7 @@
-"""Bounds for all loops of a box of constant errors by multipliers, which are constant within intervals of frequency.
+"""Bounds for all loops in a box of constant gain errors, proved by multipliers that are constant over intervals of frequency.
 
-A loop with errors is opened at the errors, p_k = delta_k q_k with a real |delta_k| <= 1. This gives one plant from [p; w] to
-[q; z]. For D >= 0 and any G, both diagonal,
+A loop with errors is opened at the errors, p_k = delta_k q_k with real delta_k and |delta_k| <= 1. This gives one plant from
+[p; w] to [q; z]. For any diagonal matrices D >= 0 and G, the errors satisfy
 
     q* D q - p* D p >= 0,    j (p* G q - q* G p) = 0.
 
@@ -13,11 +13,11 @@ At a given frequency, the norm from w to z is therefore at most gamma if, for al
 Automatic Control 36). If the same form without w and z is negative at all frequencies, no pole crosses the imaginary axis. If
 the middle of the box is stable, the whole box is then stable.
 
-The proof divides the frequencies into intervals with constant D and G. The frequencies at which the form is singular show
-whether it is negative in the whole interval, as in `structured_bound.py`. The proof needs no sampling and does not rely on the
-search for multipliers. The number of unknowns grows with the number of errors, not with the number of corners of their box.
-Multipliers give close bounds for constant errors. An X that all corners share (`worst_case.py`) is also valid for errors that
-change with time.
+The proof divides the frequencies into intervals with constant D and G. Frequencies at which the form is singular show whether
+the form is negative in the whole interval, as in `structured_bound.py`. The proof needs no grid of frequencies and does not
+depend on how the multipliers were found. The number of unknowns grows with the number of errors, not with the number of corners
+of the box. Multipliers give tight bounds for constant errors. In contrast, a common X for all corners (`worst_case.py`) is also
+valid for errors that vary with time.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,20 +34,20 @@ from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.lmi.barrier import CENTRE_DECREMENT, Barrier, Block, lowest_last, newton
 from synth.plant.generalized import Plant
 
-NEAR = 3e-4  # relative distance of the bound above the peak of the best multipliers
-EXACT = 1e-6  # relative; share of p* D p and gamma^2 that is left unused as a margin for rounding
+NEAR = 3e-4  # relative distance of the bound above the peak that the best multipliers give
+EXACT = 1e-6  # share of p* D p and gamma^2 that is reserved as a margin for rounding
 CLOSE = 1e-5  # relative accuracy of the smallest gamma^2 at one frequency
-LARGEST = 1e6  # limit on D and G, if p, q and z are scaled to size one
+LARGEST = 1e6  # limit on the entries of D and G, if p, q and z are scaled to size one
 MOST_PARTS, MOST_PEAKS = 100, 40
-SHORTEST = 1e-4  # relative length of the shortest interval of frequencies
-ENOUGH = 0.9997  # multiple of gamma^2 at which the search for the smallest gamma^2 ends
+SHORTEST = 1e-4  # length of the shortest frequency interval, relative to its frequency
+ENOUGH = 0.9997  # the search for the smallest gamma^2 at a frequency ends below this multiple of the given gamma^2
 
 
 def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
     """Returns the loop at the middle of a box, opened at the errors of the box.
 
     Raises:
-        LinAlgError: the loop at the middle is not well-posed.
+        LinAlgError: the loop at the middle of the box is not well-posed.
     """
     plant, K, q, m = gain.plant, gain.K, gain.K.shape[1], len(gain.K)
     middle, half = box.middle, (box.high - box.low) / 2
@@ -78,8 +78,8 @@ class MultiplierForm:
     Attributes:
         loop: loop, opened at its errors.
         D, G: diagonals of the multipliers, shapes (k,).
-        square: gamma^2; unused if the loop has neither w nor z.
-        of_errors: square of 1 / |delta_k|, where |delta_k| is the largest size of an error.
+        square: gamma^2; not used if the loop has neither w nor z.
+        of_errors: 1 / |delta_k|^2, where |delta_k| is the largest size of an error.
     """
 
     loop: StructuredLoop
@@ -90,7 +90,7 @@ class MultiplierForm:
 
     @property
     def weights(self) -> tuple[Array, Array, Array]:
-        """Weights of the form [T; I]* [W, L; L*, R] [T; I]: the diagonals of W and R, and L of shape (d + k, r + k)."""
+        """Weights in the form [T; I]* [W, L; L*, R] [T; I]: the diagonals of W and R, and L of shape (d + k, r + k)."""
         (rows, columns), k = self.loop.loop.Dw.shape, self.loop.errors
         L = np.zeros((rows, columns), dtype=complex if np.any(self.G) else float)
         L[np.arange(rows - k, rows), np.arange(columns - k, columns)] = -1j * self.G if np.any(self.G) else 0.0
@@ -101,7 +101,7 @@ class MultiplierForm:
         )
 
     def at(self, T: Array) -> Array:
-        """Returns the largest eigenvalue of the form for each frequency response of shape (F, d + k, r + k), shape (F,)."""
+        """Returns the largest eigenvalue of the form for each frequency response T, shape (F,), from T of shape (F, d + k, r + k)."""
         W, L, R = self.weights
         adjoint = T.conj().swapaxes(-1, -2)
         across = adjoint @ L
@@ -110,9 +110,9 @@ class MultiplierForm:
         return np.linalg.eigvalsh(size[:, None] * M * size)[:, -1]
 
     def singular(self) -> Array:
-        """Returns all frequencies at which the form may be singular [rad/s], ascending. Further frequencies may be among them.
+        """Returns all frequencies at which the form is singular [rad/s], in ascending order. Other frequencies may be included.
 
-        These are imaginary parts of eigenvalues of a Hamiltonian matrix. Eigenvalues off the imaginary axis are included.
+        The frequencies are imaginary parts of eigenvalues of a Hamiltonian matrix, including eigenvalues off the imaginary axis.
         """
         M = self.loop.loop
         A, B, C, D = M.A, M.Bw, M.C, M.Dw
@@ -128,7 +128,7 @@ class MultiplierForm:
         return np.unique(omega[omega > 0])
 
     def negative(self, low: float, high: float) -> bool:
-        """Returns True if the form is negative in an interval of frequencies [rad/s] that includes its lower end.
+        """Returns True if the form is negative in an interval of frequencies [rad/s], including the lower end.
 
         Between two neighbouring singular frequencies, the form is negative either everywhere or nowhere.
         """
@@ -142,7 +142,7 @@ class MultiplierForm:
         return bool(np.all(self.at(responses) < 0))
 
     def reach(self, omega: float) -> float:
-        """Returns the upper end of the interval from a given frequency in which the form is negative [rad/s]."""
+        """Returns the upper end of the interval that begins at a given frequency and in which the form is negative [rad/s]."""
         above = self.singular()
         above = above[above > omega]
         for i, end in enumerate(above):
@@ -153,7 +153,7 @@ class MultiplierForm:
 
 
 class MultiplierInterval(NamedTuple):
-    """Interval of frequencies [rad/s] with its multipliers, shapes (k,)."""
+    """Interval of frequencies [rad/s], and the diagonals of its multipliers, shapes (k,)."""
 
     low: float
     high: float
@@ -162,14 +162,16 @@ class MultiplierInterval(NamedTuple):
 
 
 def fill(parts: Sequence[MultiplierInterval], low: float, high: float) -> bool:
-    """Returns True if intervals cover a band without a gap."""
+    """Returns True if the intervals cover a band without gaps."""
     ends = [low, *(part.high for part in parts)]
     return bool(parts) and not any(part.low > end for part, end in zip(parts, ends, strict=False)) and ends[-1] >= high
 
 
 @dataclass(frozen=True, eq=False)
 class MultiplierProof:
-    """Proof for all loops of a box, by intervals that cover a band. At all frequencies, it also proves stability.
+    """Proof for all loops of a box, by intervals that cover a band.
+
+    If the band contains all frequencies, it also proves stability.
 
     Attributes:
         low, high: lower and upper end of the band [rad/s].
@@ -203,14 +205,14 @@ class MultiplierProof:
 def bound_in_band(
     gain: ScaledGain, box: Box, low: float, high: float, first: float, tries: int = MOST_PEAKS
 ) -> MultiplierProof | None:
-    """Returns a proof of a bound close to the largest norm in a band for a whole box; None if no proof is found.
+    """Returns a proof of a bound for a whole box that is close to the largest norm in a band; None if no proof is found.
 
-    A bound for a part of the frequencies does not imply stability.
+    A bound for only some frequencies does not imply stability.
 
     Args:
-        gain: loops with factors, in continuous time. The middle loop must be stable.
+        gain: loops with factors, in continuous time. The loop at the middle of the box must be stable.
         low, high: lower and upper end of the band [rad/s]; `high` may be infinite.
-        first: first bound that is tried, just above the largest norm found.
+        first: first bound to try, just above the largest norm found.
         tries: number of bounds that are tried.
     """
     if not 0 < first < np.inf or not len(box.uncertain) or not gain.well_posed(box):
@@ -256,15 +258,15 @@ def cover(
 ) -> tuple[float, float] | None:
     """Adds intervals that prove a bound until the intervals cover a band. Returns None if the band is covered.
 
-    Otherwise returns the smallest provable bound and the frequency where the proof fails. This bound is infinite if no bound
-    can be proved, or if more than `most` intervals are needed.
+    If the band is not covered, returns the smallest provable bound and the frequency where the proof fails. The bound is
+    infinite if no bound can be proved, or if more than `most` intervals are needed.
 
     Args:
-        parts: intervals that already prove a lower bound, ascending from the lower end of the band.
+        parts: intervals that were found for a smaller bound, in ascending order from the lower end of the band.
         band: lower and upper end of the band [rad/s].
         step: length of the first interval that is tried [rad/s].
-        multipliers: function that returns the smallest provable bound at a frequency, and [D, G] if this bound is low enough.
-        form: function that returns the form of [D, G], which must be negative.
+        multipliers: function that returns the smallest provable bound at a frequency and, if this bound is low enough, [D, G].
+        form: function that returns the form for [D, G], which must be negative.
         most: largest number of intervals.
     """
     low, high = band
@@ -296,9 +298,9 @@ class _Search:
         self.fastest = float(np.abs(np.linalg.eigvals(loop.loop.A)).max())
 
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
-        """Adds intervals that prove a bound, see `cover`.
+        """Adds intervals that prove a bound; see the function `cover`.
 
-        Returns None if the band is covered, else the bound that is needed.
+        Returns None if the band is covered, otherwise the smallest provable bound.
         """
         step = max(parts[-1].high if parts else low, low, self.fastest / 100) / 4
         higher = cover(parts, (low, high), step, partial(self.multipliers, gamma=gamma), partial(self.form, gamma=gamma))
@@ -314,7 +316,7 @@ class _Search:
         T, k = self.loop.at(np.array([omega]))[0], self.loop.errors
         d, r = (size - k for size in T.shape)
         T[:d] /= self.unit
-        # without w and z, the errors alone determine the scales
+        # if w and z are absent, the errors alone determine the scales
         of_z, of_w = (slice(d), slice(r)) if self.loop.performance else (slice(None), slice(None))
         into, seen = np.linalg.norm(T[of_z, r:], axis=0), np.linalg.norm(T[d:, of_w], axis=1)
         size = np.sqrt(np.where((into > 0) & (seen > 0), into / np.where(seen > 0, seen, 1.0), 1.0))
@@ -323,7 +325,7 @@ class _Search:
         of_both, square = np.tile((self.unit * size) ** 2, 2), (gamma / self.unit) ** 2
         try:
             least, found = _multipliers(T, k, square, None if self.last is None else self.last / of_both)
-        except np.linalg.LinAlgError:  # the multipliers of the previous frequency are not a useful start
+        except np.linalg.LinAlgError:  # the multipliers of the previous frequency are not a useful starting point
             least, found = _multipliers(T, k, square, None)
         if found is None:
             return self.unit * least**0.5, None
@@ -351,9 +353,9 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         F[k + i] = row + row.conj().T
     F0 = -T[:d].conj().T @ T[:d]
     one, each = np.ones((1, 1)), np.eye(N)[:, :, None, None]
-    bounds = [(0 * one, each[i]) for i in range(k)]  # limits on D and G
+    bounds = [(0 * one, each[i]) for i in range(k)]  # limits for D and G
     bounds += [(LARGEST * one, sign * each[i]) for i in range(2 * k) for sign in ((-1, 1) if i >= k else (-1,))]
-    # First without w and z, so that only the errors count.
+    # The first problem omits w and z, so that it concerns only the errors.
     own = F[:, r:, r:].copy()
     own[-1] = np.eye(k)
 
@@ -390,7 +392,7 @@ def _lowest(blocks: Sequence[Block], p: Array, enough: float, close: float = np.
 
 
 def _real(M: Array) -> Array:
-    """Returns real symmetric matrices, shape (..., 2 k, 2 k), that are positive definite if the given Hermitian matrices are."""
+    """Returns real symmetric matrices, shape (..., 2 k, 2 k), which are positive definite if the Hermitian matrices M are."""
     real, imaginary = np.real(M), np.imag(M)
     upper, lower = (np.concatenate(pair, axis=-1) for pair in ((real, -imaginary), (imaginary, real)))
     return np.concatenate([upper, lower], axis=-2)

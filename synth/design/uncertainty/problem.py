@@ -1,4 +1,4 @@
-"""Law on a plant with errors of measurements and forces, as a gain between factors, and the box of these errors."""
+"""Law for a plant with gain errors of measurements and forces, as a gain between two sets of factors, and the box of errors."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from synth.plant.generalized import Plant, law_gain, real_matrix
 
 
 def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
-    """Returns the loops of a law with factors on its measurements and forces. The states of the law have no errors.
+    """Returns the loops of a law whose measurements and forces are multiplied by factors. The states of the law have no errors.
 
     Args:
         plant: generalised plant with n states, m inputs and q measurements; continuous or discrete, as the law. Only a
@@ -31,9 +31,9 @@ def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
 
 
 def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
-    """Returns the box of factors for errors of +-d of the measurements and +-e of the forces.
+    """Returns the box of factors for relative errors of up to +-d in the measurements and +-e in the forces.
 
-    The errors are relative and independent of each other. The factor of an unused measurement or force is 1.
+    The errors are independent of each other. The factor of an unused measurement or force is 1.
 
     Args:
         gain: loop with q measurements and m forces, in addition to the states of a law.
@@ -41,7 +41,7 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
         e: largest error of all forces, or of each force, shape (m,).
 
     Raises:
-        InputError: there are too many errors, or an error is not a number from 0 to 1.
+        InputError: there are too many errors, or an error is not between 0 and 1.
     """
     (rows, columns), q, m = gain.K.shape, gain.readings, gain.forces
     width = np.zeros(columns + rows)

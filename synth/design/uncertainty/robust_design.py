@@ -1,10 +1,10 @@
-"""Design of a law with better robust performance (mu) than the law with the smallest norm, by D-K iteration.
+"""D-K iteration: design of a law with better robust performance (smaller mu) than the law with the smallest norm.
 
 For a given law, the best scale of each error is a function of frequency. A stable first-order filter with a stable inverse
-follows its magnitude where mu is large. With these filters at its inputs and outputs, the norm of the plant bounds mu. A design
-of the smallest norm lowers this bound (D-K iteration; Doyle 1985; Zhou, Doyle, Glover 1996, Robust and Optimal Control, section
-11.4). Each of the two steps is optimal, but together they need not find the best law. Each law is evaluated by its own proved
-bound, and the best law is kept.
+approximates its magnitude where mu is large. If these filters are added at the inputs and outputs of the loop, its norm is an
+upper bound on mu. A design that minimises the norm lowers this bound (D-K iteration; Doyle 1985; Zhou, Doyle, Glover 1996,
+Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but their alternation need not find the
+best law. Each law is judged by its own proved bound on mu, and the best law is kept.
 """
 
 from dataclasses import replace
@@ -27,16 +27,16 @@ from synth.plant.numerics import DesignError
 from synth.plant.state_space import StateSpace
 
 TURNS = 6
-WORTH = 2e-3  # relative decrease of the bound below which the iteration ends
-STEEP = 4  # power of mu in the weight of a frequency
+WORTH = 2e-3  # the iteration ends if the relative decrease of the bound is smaller
+STEEP = 4  # power of mu that gives the weight of a frequency in the fit of a filter
 
 
 def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Designs a law with better robust performance than the result of the previous method.
 
-    If there is no better law, the previous result is returned.
+    If no better law is found, the previous result is returned.
 
-    The design of a law with fewer states than the plant begins with the scales of a full-order law.
+    For a law with fewer states than the plant, the iteration begins with the scales of a full-order law.
     """
     start, errors, structure = problem.start, problem.errors, problem.structure
     assert start is not None, "a design for the norm comes first"
@@ -45,7 +45,7 @@ def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
     best = [first]
 
     def turns(problem: DesignProblem, law: LinearLaw) -> DesignResult:
-        """Alternates between scales for a law and a design for these scales. Returns the best law."""
+        """Computes the scales for a law, designs a law for these scales, and repeats both steps. Returns the best law."""
         lowest, loop = first, errors.closed_by(problem.as_run(law))
         of_state = np.any(errors.plant.Cy != 0, axis=1)
         for _ in range(TURNS):
@@ -80,10 +80,10 @@ def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpace]]) -> Plant:
-    """Returns the plant with scales at the inputs and outputs of its k errors.
+    """Returns the plant with scaling filters at the inputs and outputs of its k errors.
 
     Args:
-        filters: two filters for each error: the scale of q, and its inverse, whose output is p.
+        filters: two filters for each error: the scale of q, and the inverse, whose output is p.
     """
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))
     inputs = append(gain(np.eye(plant.Bw.shape[1] - k)), *(inverse for _, inverse in filters))
@@ -91,7 +91,7 @@ def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpac
 
 
 def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]:
-    """Returns two filters for each error: a first-order filter that follows its best scale over frequency, and the inverse."""
+    """Returns two filters for each error: a first-order fit to the best scale over frequency, and the inverse filter."""
     k, grid, units = loop.errors, loop.grid, loop.units
     M = loop.at(grid)
     M[:, -k:] *= units[:, None]
@@ -105,7 +105,7 @@ def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]
 
 
 def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[StateSpace, StateSpace]:
-    """Returns g (s + a) / (s + b), fitted to a magnitude over frequency, and its inverse."""
+    """Returns the filter g (s + a) / (s + b), fitted to a magnitude over frequency, and its inverse."""
     low, high = np.log(grid[[0, -1]])
 
     def off(x: Array) -> Array:
@@ -125,6 +125,6 @@ def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[StateSp
 
 
 def _system(g: float, a: float, b: float) -> StateSpace:
-    """Returns g (s + a) / (s + b)."""
+    """Returns the filter g (s + a) / (s + b)."""
     size = np.sqrt(abs(a - b))
     return StateSpace(np.array([[-b]]), np.array([[size]]), np.array([[g * np.sign(a - b) * size]]), np.array([[g]]))

@@ -1,16 +1,16 @@
-"""Upper bound on the structured singular value of a loop at all frequencies, found with scales and proved with level sets.
+"""Upper bound on the structured singular value mu of a loop at all frequencies, found with scales and proved with level sets.
 
-The errors Delta include a full block from z to w. For any positive scales D of the errors, mu(M) <= |D M D^-1| (Doyle 1982;
-Packard, Doyle 1993, The complex structured singular value, Automatica 29). A loop stays stable with all errors of a size below
-1 / mu. With the performance block, mu <= gamma also means that the norm from w to z is at most gamma, for all errors of size 1
-/ gamma.
+The uncertainty Delta of the loop M includes a full block from z to w for performance. For any positive scales D of the errors,
+mu(M) is at most the largest singular value of D M D^-1 (Doyle 1982; Packard, Doyle 1993, The complex structured singular value,
+Automatica 29). A loop stays stable for all errors smaller than 1 / mu. With the performance block, mu <= gamma also means that
+the norm from w to z is at most gamma for all errors of size 1 / gamma.
 
-The proof is that of `multipliers.py` for errors of size 1 / gamma. D contains the squares of the scales, and G = 0 because
-errors that depend on frequency have a phase. If no scales give a value below the level at some frequency, the level is too low,
-and this frequency belongs to a higher peak.
+The proof is the same as in `multipliers.py`, for errors of size 1 / gamma. There, D contains the squares of the scales, and G
+is 0 because errors that depend on frequency have a phase. If no scales give a value below the level at some frequency, the
+level is too low, and a higher peak is near this frequency.
 
-The largest singular value is a convex function of the logarithms of the scales. The Schatten norm of the matrix is smooth and
-convex, too. With a growing power, this norm tends to the largest singular value.
+The largest singular value is a convex function of the logarithms of the scales. The Schatten norm of the matrix is also convex,
+and it is smooth. As its power grows, this norm tends to the largest singular value.
 """
 
 from dataclasses import dataclass
@@ -24,18 +24,19 @@ from synth.analysis.stability import is_stable
 from synth.design.uncertainty.multipliers import MultiplierForm, MultiplierInterval, cover, fill
 from synth.design.uncertainty.structured_loop import StructuredLoop
 
-NEAR = 5e-4  # relative distance of the bound above the peak of the best scales
-EXACT = 1e-6  # relative distance of the proved bound above the level of the search, because intervals end at this level
-POWERS = (64, 4096)  # powers of the Schatten norms that are used one after the other
-ALONE = 1e-6  # share of the other singular values in a Schatten norm, below which it equals the largest singular value
-FURTHEST = 16.0  # limit on the logarithm of a scale, relative to the loop's internal units
-EASY = 0.9  # multiple of the level; scales with a lower value are not improved further
-MOST_STEPS = 60  # largest number of evaluations per Schatten norm
+NEAR = 5e-4  # relative distance of the bound above the peak that the best scales give
+EXACT = 1e-6  # relative distance of the proved bound above the level of the search; at this level itself, no proof is possible
+POWERS = (64, 4096)  # powers of the Schatten norms, used one after the other
+# if the share of the other singular values is smaller, a Schatten norm counts as equal to the largest singular value
+ALONE = 1e-6
+FURTHEST = 16.0  # limit on the logarithm of a scale, relative to the internal units of the loop
+EASY = 0.9  # scales that give a value below this multiple of the level are not improved further
+MOST_STEPS = 60  # largest number of evaluations for each Schatten norm
 CLOSE = 1e-7  # accuracy of the logarithm of a single scale
-REFINED_PEAKS = 4  # number of peaks of the loop in internal units from which the search for the highest peak starts
-# relative: largest and smallest step in frequency towards a peak, and the smallest rise that counts
+REFINED_PEAKS = 4  # the search for the highest peak starts at this number of peaks of the loop in internal units
+# relative values: largest and smallest frequency step in the search for a peak, and smallest increase that counts
 WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7
-SMALLEST = 1e-12  # smallest bound; a loop without any effect of its errors has mu = 0
+SMALLEST = 1e-12  # smallest bound, for loops in which the errors have no effect (mu = 0)
 MOST_PARTS, MOST_PEAKS = 2000, 60
 
 
@@ -45,7 +46,7 @@ class StructuredBound:
 
     Attributes:
         gamma: proved bound; infinite if the loop without errors is not stable.
-        peak_frequency: frequency at which the bound with the best scales is highest [rad/s].
+        peak_frequency: frequency at which the bound has its maximum, for the best scales at each frequency [rad/s].
         parts: intervals of frequency from 0 to infinity, each with its scales.
     """
 
@@ -54,19 +55,19 @@ class StructuredBound:
     parts: tuple[MultiplierInterval, ...]
 
     def holds(self, structured: StructuredLoop) -> bool:
-        """Verifies with level sets that the intervals prove the bound for a loop."""
+        """Returns True if the intervals prove the bound for a loop; level sets are used for this check."""
         if not fill(self.parts, 0.0, np.inf) or not is_stable(structured.loop.A):
             return False
         return all(_form(structured, self.gamma, part.D).negative(part.low, part.high) for part in self.parts)
 
 
 def _form(structured: StructuredLoop, gamma: float, D: Array) -> MultiplierForm:
-    """Returns the form that is negative if the squares of scales D prove a bound."""
+    """Returns the form that is negative if the scales, whose squares are D, prove a bound."""
     return MultiplierForm(structured, D, np.zeros_like(D), gamma**2, gamma**2)
 
 
 def structured_bound(structured: StructuredLoop) -> StructuredBound:
-    """Returns a bound on the structured singular value of a loop, close to the peak of the best scales."""
+    """Returns a bound on the structured singular value of a loop, just above the peak that the best scales give."""
     if not is_stable(structured.loop.A):
         return StructuredBound(np.inf, np.nan, ())
     search = _Search(structured)
@@ -92,17 +93,17 @@ def structured_bound(structured: StructuredLoop) -> StructuredBound:
 
 
 def best_scales(M: Array, errors: int, start: Array | None = None, enough: float = 0.0) -> tuple[float, Array]:
-    """Returns the smallest |D M D^-1|, and the logarithms of its scales, shape (k,).
+    """Returns the smallest |D M D^-1| over all scales D, and the logarithms of the best scales, shape (k,).
 
     Args:
         M: matrix, complex, shape (d + k, r + k).
         errors: number k of errors.
-        start: logarithms of the scales to begin with; zero by default.
-        enough: value at which the search ends before its minimum.
+        start: logarithms of the scales with which the search begins. Default: zero.
+        enough: the search ends early at a value below this one.
     """
     k = errors
     x = np.zeros(k) if start is None else np.clip(start, -FURTHEST, FURTHEST)
-    first = int(len(M) == k)  # without a performance block, a common factor of all scales has no effect
+    first = int(len(M) == k)  # if there is no performance block, a common factor of all scales has no effect
     N, up, down = M.copy(), np.ones(len(M)), np.ones(M.shape[1])
     rows, columns = (slice(count - k + first, None) for count in M.shape)
 
@@ -147,7 +148,7 @@ class _Search:
         self.last = np.zeros(structured.errors)
 
     def scales(self, omega: float, enough: float = 0.0) -> tuple[float, Array]:
-        """Returns the bound with the best scales at a frequency, and these scales; see `best_scales`."""
+        """Returns the bound that the best scales give at a frequency, and these scales; see `best_scales`."""
         k = self.structured.errors
         M = self.structured.at(np.array([omega]))[0]
         M[-k:] *= self.units[:, None]
@@ -157,14 +158,14 @@ class _Search:
 
     @property
     def first(self) -> list[float]:
-        """Frequencies [rad/s] from which the search for the highest peak starts: 0, and the largest peaks on the grid."""
+        """Frequencies [rad/s] at which the search for the highest peak starts: 0, and the highest peaks on the grid."""
         grid = self.structured.grid
         gains = Gain(self.structured.scaled(self.units)).at(grid)
         inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
         return [0.0, *grid[inner[gains[inner].argsort()[-REFINED_PEAKS:]]].tolist()]
 
     def climb(self, omega: float) -> tuple[float, float]:
-        """Returns a local peak of the bound with the best scales near a frequency, and its frequency [rad/s]."""
+        """Returns a local peak of the bound with the best scales, near a given frequency, and the peak frequency [rad/s]."""
         best, width = (self.scales(omega)[0], omega), WIDEST
         while omega > 0 and width > NARROWEST:
             near = [best[1] * (1 - width), best[1] * (1 + width)]

@@ -1,11 +1,12 @@
-"""Loop with frequency-weighted uncertainties of its measurements and forces, as a system M from [w; p] to [z; q].
+"""Loop with frequency-weighted uncertainties of measurements and forces, as a system M from [w; p] to [z; q].
 
-A force acts as u (1 + W Delta), and a measurement is received as y (1 + W Delta). Each has its own weight W and its own Delta.
-A Delta is any stable linear system with a norm of at most one (Zhou, Doyle, Glover 1996, Robust and Optimal Control, sections
-9.1 and 11.2). Opened at the Deltas, the loop has the additional inputs p = Delta q, and the additional outputs q = W u or W y.
+A force u acts as (1 + W Delta) u, and a measurement y is received as (1 + W Delta) y. Each force and each measurement has its
+own weight W and its own Delta. A Delta is any stable linear system with a norm of at most one (Zhou, Doyle, Glover 1996, Robust
+and Optimal Control, sections 9.1 and 11.2). If the loop is opened at the Deltas, it has the additional inputs p = Delta q and
+the additional outputs q = W u or W y.
 
-The output z weights the requested forces u, without their errors. A measurement that contains a force contains the force with
-its error.
+The output z contains the requested forces u, without errors. In contrast, a measurement of a force contains the force with its
+error.
 """
 
 from collections.abc import Sequence
@@ -20,8 +21,8 @@ from synth.plant.augmented import append, closed_by, gain, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ROUNDS = 50  # iterations of balancing; each halves the remaining distance of the logarithms
-COARSE = 120  # number of frequencies at which the magnitudes of M's entries are compared
+ROUNDS = 50  # number of iterations of balancing; each iteration halves the remaining distance of the logarithms
+COARSE = 120  # number of frequencies at which the magnitudes of the entries of M are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class StructuredLoop:
 
     @property
     def of_errors(self) -> "StructuredLoop":
-        """Loop from p to q only, which determines stability."""
+        """Loop from p to q alone, which determines stability."""
         M, k = self.loop, self.errors
         return StructuredLoop(Plant.without_inputs(M.A, M.Bw[:, -k:], M.C[-k:], M.Dw[-k:, -k:]), k)
 
@@ -52,7 +53,7 @@ class StructuredLoop:
         return self.loop.frequency_response(omega)
 
     def scaled(self, scales: Array) -> Plant:
-        """Returns D M D^-1 for positive scales of shape (k,). D scales each q, and D^-1 scales each p."""
+        """Returns D M D^-1 for positive scales of shape (k,). D multiplies each q, and D^-1 multiplies each p."""
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
         C[-k:] *= scales[:, None]
@@ -63,7 +64,7 @@ class StructuredLoop:
 
     @cached_property
     def units(self) -> Array:
-        """Scales that give the entries of M similar magnitudes over all frequencies, shape (k,)."""
+        """Scales for which the entries of M have similar magnitudes over all frequencies, shape (k,)."""
         T = np.abs(self.at(self.grid))
         k = self.errors
         blocks = np.zeros((k + 1, k + 1))
@@ -80,7 +81,7 @@ class StructuredLoop:
 
     @cached_property
     def grid(self) -> Array:
-        """Frequencies around and between the poles [rad/s], ascending, shape (F,)."""
+        """Frequencies around and between the poles [rad/s], in ascending order, shape (F,)."""
         poles = np.linalg.eigvals(self.loop.A)
         size = np.abs(poles)
         size = size[size > 0] if np.any(size) else np.ones(1)
@@ -93,7 +94,7 @@ class StructuredPlant:
     """Plant from [w; p; u] to [z; q; y] with k weighted errors.
 
     Attributes:
-        plant: n states, m inputs, r + k disturbances, d + k controlled outputs and q measurements.
+        plant: plant with n states, m inputs, r + k disturbances, d + k controlled outputs and q measurements.
         errors: number k of errors.
     """
 
@@ -104,7 +105,7 @@ class StructuredPlant:
         """Returns the loop of the plant with a continuous law on y.
 
         Raises:
-            InputError: the loop through the measurements has no solution.
+            InputError: the algebraic loop through the measurements has no solution.
         """
         return StructuredLoop(closed_by(self.plant, law), self.errors)
 
@@ -119,12 +120,12 @@ def plant_with_errors(
     Args:
         plant: plant in continuous time with n states, m inputs, r disturbances, d controlled outputs and q measurements.
         of_errors: effect of an additional force on the states and on z, shapes (n, m) and (d, m).
-        weights: weight of each force and of each measurement; None if it has no error.
+        weights: weight of each force and of each measurement; None for a force or measurement without error.
     """
     (q, n), (d, m), r = plant.Cy.shape, plant.D.shape, plant.Bw.shape[1]
     forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)
     k = len(forces) + len(readings)
-    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # includes the errors of the forces
+    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # this includes the errors of the forces
     wide = Plant(
         A=plant.A,
         B=plant.B,

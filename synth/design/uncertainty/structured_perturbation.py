@@ -1,10 +1,10 @@
-"""Nearly worst errors of a loop with structured errors, from a power iteration at one frequency, verified on the loop.
+"""Nearly worst errors of a loop with structured errors, found by power iteration at one frequency, and verified.
 
 At one frequency, the structured singular value is the largest spectral radius of Q M over all unitary Q with the structure of
 the errors (Doyle 1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value,
-CDC) searches for this Q. Any Q gives a lower bound. A stable first-order all-pass can have the phase of an error at this
-frequency, so the errors become linear systems of equal norm. The resulting value is computed for the loop with these errors. It
-is infinite if the loop is unstable, and otherwise the norm of the loop.
+CDC) searches for this Q. Any Q gives a lower bound. A stable first-order all-pass can have the required phase of an error at
+this frequency, so the errors are realised as linear systems of equal norm. The loop with these errors is then checked: it is
+either unstable, or its norm gives the lower bound.
 """
 
 from collections.abc import Sequence
@@ -21,16 +21,16 @@ from synth.plant.augmented import append
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-EQUALITY_TOLERANCE = 1e-9  # relative; a norm within this distance of the inverse size of its errors is equal to it
+EQUALITY_TOLERANCE = 1e-9  # a norm counts as equal to the inverse size of its errors if their relative difference is smaller
 STARTS, ITERATIONS = 12, 80
-SLOW, FAST = 1e-4, 1e4  # relative to the poles: frequencies that replace 0 and infinity, where an error has no phase
+SLOW, FAST = 1e-4, 1e4  # frequencies, relative to the poles, that replace 0 and infinity, where an error has no phase
 BEYOND = (
     0.0,
     1e-9,
     1e-7,
     1e-5,
     1e-3,
-)  # relative; by how much the errors are enlarged, because rounding may keep a pole off the imaginary axis
+)  # relative amounts by which the errors are enlarged, because rounding may keep a pole off the imaginary axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +49,11 @@ class WorstErrors:
 
 
 def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
-    """Returns the worst errors found at a frequency, verified on the loop; mu is 0 if none are found.
+    """Returns the worst errors that are found at a frequency and verified on the loop; mu is 0 if no such errors are found.
 
     Args:
         structured: loop that is stable without errors.
-        omega: frequency [rad/s], for example of the peak of an upper bound.
+        omega: frequency, for example the peak frequency of an upper bound [rad/s].
     """
     size = np.abs(np.linalg.eigvals(structured.loop.A))
     omega = float(np.clip(omega, SLOW * size.min(initial=1.0), FAST * size.max(initial=1.0)))
@@ -71,7 +71,7 @@ def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
 
 
 def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
-    """Returns the largest spectral radius of Q M that is found, and its errors of modulus 1, shape (k,).
+    """Returns the largest spectral radius of Q M that is found, and the corresponding errors of modulus 1, shape (k,).
 
     Args:
         M: matrix, complex, shape (d + k, r + k).
@@ -105,9 +105,9 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
 
 
 def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -> Plant | None:
-    """Returns the loop with given errors; None if it is not well-posed.
+    """Returns the closed loop with the given errors; None if the loop is not well-posed.
 
-    The loop is from w to z or, without a performance block, from p to q.
+    The loop is from w to z or, if there is no performance block, from p to q.
     """
     M, k, E = structured.loop, structured.errors, append(*errors)
     into, out = M.Bw[:, -k:], M.C[-k:]
@@ -129,7 +129,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
-    """Returns the norm of a loop; infinite if it is not stable, and 0 if nothing is known."""
+    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if nothing is known."""
     if closed is None:
         return 0.0
     if not is_stable(closed.A):
@@ -138,7 +138,7 @@ def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
 
 
 def _blocks(size: int, k: int) -> list[slice]:
-    """Returns the block of the performance, if present, and the blocks of the errors, as slices."""
+    """Returns the performance block, if there is one, and the blocks of the errors, as slices."""
     return [*([slice(0, size - k)] if size > k else []), *(slice(size - k + i, size - k + i + 1) for i in range(k))]
 
 
@@ -147,9 +147,9 @@ def _size(part: Array) -> Array:
 
 
 def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a: Array, b: Array) -> tuple[float, Array]:
-    """Returns the spectral radius of Q M for the Q that maps a to b, and its errors.
+    """Returns the spectral radius of Q M for the Q that maps a to b, and the errors in this Q.
 
-    The errors are rotated so that the spectral radius is an eigenvalue.
+    The phase of the errors is rotated so that the spectral radius is itself an eigenvalue of Q M.
     """
     Q = np.zeros((M.shape[1], M.shape[0]), dtype=complex)
     for out, into in zip(outputs, inputs, strict=True):
@@ -164,9 +164,10 @@ def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a:
 
 
 def _all_pass(amount: float, angle: float, omega: float) -> StateSpace:
-    """Returns a stable error with constant gain and a given phase [rad] at a frequency."""
+    """Returns an error as a stable all-pass with constant gain that has a given phase [rad] at a frequency."""
     sign = 1.0 if angle >= 0 else -1.0
-    phase = angle if angle >= 0 else angle + np.pi  # phase of (s - c) / (s + c), from pi at 0 rad/s to 0 at infinity
+    # phase of (s - c) / (s + c), which decreases from pi at 0 rad/s to 0 at infinity
+    phase = angle if angle >= 0 else angle + np.pi
     if min(phase, np.pi - phase) < 1e-12:
         constant = sign * (1.0 if phase < np.pi / 2 else -1.0)
         return StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))

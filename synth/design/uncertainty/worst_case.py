@@ -1,13 +1,13 @@
-"""Worst norm of a law with errors of measurements and forces: the largest norm found, and a bound for the whole box.
+"""Worst norm of a law with errors of measurements and forces: the largest norm found, and a bound for the box of errors.
 
-The X of the bound is found with Newton's method on a barrier function:
+The matrix X that proves the bound is found by Newton's method on a barrier function for the problem
 
     minimise t   so that   (20) of every loop  <=  t I,   X > 0,
 
-In the coordinates of this problem, the first X is I. If t is below zero, X proves the bound. Few corners of the box determine
-the bound. The search starts from some corners, and adds those at which the current X violates (20). If no X is found, the box
-is divided into parts, each with its own X. If this proves no close bound, multipliers (`multipliers.py`) follow, because a
-common X is conservative for constant errors.
+In the coordinates of this problem, the first X is I. If t is below zero, X proves the bound. Usually, only a few corners of the
+box determine the bound. The search starts with some corners, and adds the corners at which the current X violates (20). If no X
+is found, the box is divided into parts, each with its own X. If this does not prove a tight bound, multipliers
+(`multipliers.py`) are tried, because a common X is conservative for constant errors.
 """
 
 from collections.abc import Callable
@@ -31,19 +31,19 @@ from synth.lmi.stacked_barrier import StackedBarrier
 from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics
 
-ALL = 8  # number of free factors up to which every corner is tried; with more, a vertex search
-# number of random corners from which the vertex search starts, in addition to the one in the direction of the gradient
+ALL = 8  # with at most this many free factors, every corner is tried; with more, a vertex search is used
+# number of random corners at which the vertex search starts, in addition to the corner in the direction of the gradient
 BEGIN = 4
-REFINED_POINTS = 2  # number of the highest points from which the search inside the box starts
-TURNS = 30  # iterations of each of these searches
+REFINED_POINTS = 2  # number of the highest points at which the search inside the box starts
+TURNS = 30  # number of iterations in each of these searches
 SEED = 20261122
 
 
 class WorstCaseNormFunction:
-    """Norm as a function of the factors of a gain. The object stores the largest value found.
+    """Norm as a function of the factors on measurements and forces. The object stores the largest norm found.
 
     Attributes:
-        highest: largest norm found so far; infinite if a loop was unstable.
+        highest: largest norm found so far; infinite if an unstable loop was found.
         at: factors at this norm, shape (q + m,).
     """
 
@@ -54,9 +54,9 @@ class WorstCaseNormFunction:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def exceeds(self, factors: Array, level: float) -> bool:
-        """Returns True if the norm exceeds a level. For an infinite level, returns True if the loop is unstable.
+        """Returns True if the norm exceeds a level or, for an infinite level, if the loop is unstable.
 
-        Nothing is stored.
+        The largest norm is not updated.
         """
         try:
             point = self.landscape.point(self.gain.acting(factors))
@@ -92,7 +92,7 @@ class WorstCaseNormFunction:
 
 
 def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
-    """Searches for the largest norm in a box, which `heights` stores. The search ends if a loop is unstable."""
+    """Searches for the largest norm in a box. `heights` stores the result. The search ends if it finds an unstable loop."""
     free = box.uncertain
     points = box.vertices if len(free) <= ALL else vertex_search(heights, box)
     points = np.concatenate([points, box.middle[None]])
@@ -108,7 +108,7 @@ def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
 
 
 def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
-    """Returns corners at which no change of a single factor raises the norm, shape (k, q + m).
+    """Returns k corners at which changing any single factor does not increase the norm, shape (k, q + m).
 
     If the loop in the middle of the box is unstable, the result is the middle.
     """
@@ -131,7 +131,7 @@ def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
 
 
 def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
-    """Increases the norm from a point, within the box."""
+    """Increases the norm by moving from a starting point within the box."""
     free = box.uncertain
     middle, half = box.middle, (box.high - box.low)[free] / 2
 
@@ -144,13 +144,13 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
         factors = point(t)
         value = heights.norm(factors)
         if not np.isfinite(value):
-            raise StopIteration  # the norm is infinite, so none is higher
+            raise StopIteration  # the norm is infinite, so no higher norm exists
         return -np.log(value), -heights.slope(factors)[free] * half / value
 
     t = (start - middle)[free] / half
     slope = down(t)[1]
     if np.all(np.where(t >= 1, slope <= 0, True) & np.where(t <= -1, slope >= 0, True) & (np.abs(t) >= 1)):
-        return  # a corner from which the norm decreases in all directions into the box
+        return  # this is a corner from which the norm decreases in all directions into the box
     try:
         optimize.minimize(down, t, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * len(free), options={"maxiter": TURNS})
     except StopIteration:
@@ -166,11 +166,11 @@ def norm_at(gain: ScaledGain, factors: Array) -> float:
     return hinf_norm(loop).value
 
 
-JOIN = 4  # number of corners that are added per round
+JOIN = 4  # number of corners that are added in each round
 
 
 def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | None:
-    """Returns an X that fulfils (20) at all corners of a box, shape (n, n); None if (20) is infeasible, or nearly so.
+    """Returns an X that fulfils (20) at all corners of a box, shape (n, n); None if (20) is infeasible or nearly infeasible.
 
     Args:
         box: box with at most `MOST` free factors (`uncertainty_box.py`).
@@ -184,7 +184,8 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
     among = np.zeros(0, dtype=int)
     while True:
         highest = _highest(everywhere, X, eta)
-        # The first X includes all corners at which it is optimal, because rounding could otherwise prevent the proof.
+        # The first set of corners contains all corners where the largest eigenvalue is attained, because rounding could
+        # otherwise prevent the proof.
         failing = np.setdiff1d(np.flatnonzero(highest >= 0), among) if len(among) else np.arange(len(highest))
         if not len(failing):
             return X if highest.max() < 0 else None
@@ -196,7 +197,7 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
 
 
 def _highest(loops: Array, X: Array, eta: float) -> Array:
-    """Returns the largest eigenvalue of (20) for each loop, in coordinates in which X is I, shape (V,)."""
+    """Returns the largest eigenvalue of (20) for each of V loops, in coordinates in which X is I, shape (V,)."""
     n = len(X)
     inverse = np.eye(loops.shape[-2])
     inverse[:n, :n] = np.linalg.inv(np.linalg.cholesky(X))
@@ -204,7 +205,7 @@ def _highest(loops: Array, X: Array, eta: float) -> Array:
 
 
 def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
-    """Returns an X that fulfils (20) for every loop; None if it is not found."""
+    """Returns an X that fulfils (20) for every loop; None if no such X is found."""
     T = np.linalg.cholesky(start)
     n, k = len(T), loops.shape[-2]
     own = loops.copy()
@@ -218,20 +219,20 @@ def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
     return (X + X.T) / 2 if p[-1] < 0 else None
 
 
-CLOSEST = 1e-4  # relative; smallest distance of a bound above the largest norm found
-CLOSER = (1e-2, 1e-3, CLOSEST)  # relative; distances that are tried in turn if the box must be divided for them
-LOOSE = (0.1, 1.0, 10.0)  # relative; distances that are tried if the first of these and multipliers fail
-TIGHT = 1e-3  # relative; a bound this close needs no multipliers
-TRIALS = 600  # largest number of attempts to find an X, times the square of the number of states
+CLOSEST = 1e-4  # smallest relative distance of a bound above the largest norm found
+CLOSER = (1e-2, 1e-3, CLOSEST)  # relative distances that are tried in turn if the box must be divided to reach them
+LOOSE = (0.1, 1.0, 10.0)  # relative distances that are tried if the first of these distances and multipliers fail
+TIGHT = 1e-3  # if a bound is within this relative distance, multipliers are not needed
+TRIALS = 600  # largest number of attempts to find an X, multiplied by the square of the number of states
 FEWEST = 4  # smallest number of attempts
-MANY = 6  # number of errors above which an X takes more time than multipliers
-# multiples of the number of attempts: for a bound that the user requests, and for one of many bounds
+MANY = 6  # with more errors than this, finding an X takes more time than finding multipliers
+# factors that multiply the number of attempts: for a bound that the user requests, and for one of many bounds
 PATIENT, CHEAPLY = 4.0, 1 / 3
-SPARE = 1e-2  # share of the distance between bound and norm that the first X leaves unused
-FAR = 1e4  # multiple of a norm; bound for loops that need only be stable
-EVERYWHERE = 1e-4  # power of an additional disturbance of all states for the first X, relative to that of w
+SPARE = 1e-2  # share of the distance between bound and norm that is left as a margin for the first X
+FAR = 1e4  # bound for loops that need only be stable, as a multiple of a norm
+EVERYWHERE = 1e-4  # power of an additional disturbance of all states for the first X, relative to the power of w
 
-Parts = list[tuple[Box, Array | None]]  # parts of a box, each with an X of (20) if one is known
+Parts = list[tuple[Box, Array | None]]  # parts of a box; each has an X that fulfils (20), if one is known
 Proof = BoxProof | MultiplierProof
 
 
@@ -241,7 +242,7 @@ def _trials(heights: WorstCaseNormFunction) -> int:
 
 
 def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
-    """Proves a bound for a box just above the largest norm found. Larger norms found in the process are stored."""
+    """Proves a bound for a box, just above the largest norm found. Larger norms that are found in the process are stored."""
 
     def tried(above: float, parts: Parts, left: int) -> tuple[Parts | None, int]:
         return _prove_parts(heights, parts, lambda: heights.highest * (1 + above), left)
@@ -266,14 +267,14 @@ def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
 
 
 def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience: float = CHEAPLY) -> Proof | None:
-    """Proves a given bound, with an X for each part of the box or with multipliers. Larger norms found are stored.
+    """Proves a given bound, with an X for each part of the box or with multipliers. Larger norms that are found are stored.
 
     Args:
-        patience: multiple of the usual number of attempts to find an X; with many errors there is one attempt. If it is below
-            1, multipliers are tried first if there are many errors.
+        patience: factor on the usual number of attempts to find an X; if there are many errors, only one attempt is made. If
+            the factor is below 1 and there are many errors, multipliers are tried first.
 
     Returns:
-        The proof; None if no proof is found.
+        The proof, or None if no proof is found.
     """
     many = len(box.uncertain) > MANY
 
@@ -288,7 +289,7 @@ def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience
 
 
 def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> Proof | None:
-    """Returns a proof that the loop is stable for all errors; None if none is found. Arguments as for `worst_norm`."""
+    """Returns a proof that the loop is stable for all errors; None if no proof is found. For the arguments, see `worst_norm`."""
     gain = scaled_gain(replace(plant, Dyw=None), K)
     box, heights = box_of(gain, d, e), WorstCaseNormFunction(gain)
     if not np.isfinite(norm := heights.norm(box.middle)):
@@ -304,7 +305,7 @@ def _prove_parts(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[
     """Divides a box into parts, each with an X that proves a bound.
 
     Returns:
-        The parts, and the number of remaining attempts to find an X. The parts are None if no such parts were found.
+        The parts, and the number of remaining attempts to find an X. The parts are None if the division did not succeed.
     """
     todo, done = list(parts), Parts()
     if any(len(part.uncertain) > MOST for part, _ in parts):
@@ -342,7 +343,7 @@ def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None
 
 
 def _axis(heights: WorstCaseNormFunction, box: Box) -> int:
-    """Returns the index of the factor along which the norm changes most from the middle of the box to its faces."""
+    """Returns the index of the factor that changes the norm most, from the middle of the box to its faces."""
     middle = heights.norm(box.middle)
     changes = []
     for axis in box.uncertain:
@@ -357,14 +358,14 @@ def _axis(heights: WorstCaseNormFunction, box: Box) -> int:
 
 @dataclass(frozen=True, eq=False)
 class WorstNorm:
-    """Worst norm over a box of errors.
+    """Worst norm over a box of gain errors: the largest norm found, and a proved upper bound.
 
     Attributes:
         found: largest norm found; infinite if a loop in the box is unstable.
-        readings: relative errors of the measurements at this norm, shape (q,).
-        forces: relative errors of the forces at this norm, shape (m,).
-        proved: proved upper bound on all norms in the box, including stability; infinite if nothing is proved.
-        proof: proof of this bound, by a common X or by multipliers; None if nothing is proved.
+        readings: relative errors of the measurements that cause the norm `found`, shape (q,).
+        forces: relative errors of the forces that cause the norm `found`, shape (m,).
+        proved: upper bound that is proved for all norms in the box, together with stability; infinite if nothing is proved.
+        proof: proof of the bound, by a common X or by multipliers; None if nothing is proved.
     """
 
     found: float
@@ -380,7 +381,7 @@ class WorstNorm:
 
     @property
     def unstable(self) -> bool:
-        """True if a loop in the box is unstable. The attributes `readings` and `forces` are its errors."""
+        """True if a loop in the box is unstable. The attributes `readings` and `forces` are then the errors of this loop."""
         return bool(np.isinf(self.found))
 
 
@@ -395,22 +396,24 @@ def worst_norm(
     through: Array | None = None,
     enough: Positive | None = None,
 ) -> WorstNorm:
-    """Finds and bounds the worst H-infinity norm if every measurement and every force has a relative gain error.
+    """Searches for the worst H-infinity norm with relative gain errors of every measurement and force, and proves a bound on it.
 
-    K_ij becomes K_ij (1 + a_j) (1 + b_i) for all errors |a_j| <= d_j and |b_i| <= e_i, which are independent of each other.
+    With errors, the gain K_ij becomes K_ij (1 + a_j) (1 + b_i). The errors |a_j| <= d_j and |b_i| <= e_i are independent of
+    each other.
 
     Args:
         plant: generalised plant with n states and m inputs; continuous or discrete.
-        Cy: measurement matrix, shape (q, n); that of the plant by default.
-        K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces then have the errors.
+        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
+        K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces have the errors.
         d: largest error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
         e: largest error of all forces, or of each force, shape (m,).
-        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
-        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
-        enough: a bound to prove separately if no bound at most this large is proved otherwise; None for no such bound.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
+        enough: a bound that is sufficient. If the proved bound is larger, a separate proof of this bound is tried. None if
+            there is no such bound.
 
     Returns:
-        The largest norm found, its errors, and the proved bound.
+        The largest norm found, the errors that cause it, and the proved bound.
 
     Raises:
         InputError: a matrix has the wrong shape or entries that are not finite, or an error is not from 0 to 1.
@@ -433,7 +436,7 @@ def worst_norm(
 
 
 def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
-    """Returns the worst norm over a box of factors. Arguments as for `worst_norm`."""
+    """Returns the worst norm over a box of factors. For the arguments, see `worst_norm`."""
     heights = WorstCaseNormFunction(gain)
     local_maximum(heights, box)
     proof = search_bound(heights, box)

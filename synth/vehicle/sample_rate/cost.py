@@ -1,8 +1,8 @@
-"""Cost of a low sample rate: exact norm of a loop over the sample period, with and without delay, and its stability limit.
+"""Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. Between two periods that are tried, no mode of the vehicle or of the law turns by more than 0.1 rad, unless it has
-decayed. The limit is then found by bisection between the last stable period and the first unstable one.
+rate. From one tested period to the next, the phase of no mode of the vehicle or of the law advances by more than 0.1 rad,
+unless the mode has decayed. The limit is then found by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -26,17 +26,17 @@ from synth.design.problem import DesignProblem
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import SharedDesignData
 
-SHORTEST = 1e-5  # shortest sample period that is tried [s], 100 kHz
-TURN = 0.1  # largest angle by which a mode turns between two periods that are tried [rad]
-TIME_CONSTANTS = 25.0  # number of time constants after which a mode counts as decayed, to e^-25
-CLOSE = 1e-12  # relative difference of two periods at which the bisection ends
+SHORTEST = 1e-5  # shortest sample period that is tested [s], at 100 kHz
+TURN = 0.1  # largest angle by which the phase of a mode may advance from one tested period to the next [rad]
+TIME_CONSTANTS = 25.0  # number of time constants after which a mode counts as decayed (to e^-25)
+CLOSE = 1e-12  # the bisection ends if the relative difference of two periods is smaller
 
 
 def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
 
     Args:
-        vehicle: vehicle; the sample period and the delay of its `[implementation]` are not used.
+        vehicle: vehicle of the controller; the sample period and the delay in its `[implementation]` are not used.
         controller: linear controller of this vehicle.
         delay: delay from a measurement to the force computed from it [samples].
 
@@ -69,7 +69,7 @@ def _between(kept: Callable[[float], bool], before: float, after: float) -> floa
 
 
 def _modes(vehicle: Vehicle, controller: Controller) -> Array:
-    """Returns the poles of the vehicle with its actuators, and those of the law itself [rad/s]."""
+    """Returns the poles of the vehicle with its actuators, and the poles of the law itself [rad/s]."""
     return np.concatenate([np.linalg.eigvals(A) for A in (with_lag(vehicle).A, controller.law.continuous().A)])
 
 
@@ -81,8 +81,8 @@ class AtRate:
         period: sample period [s].
         undelayed_norm: norm of the loop without delay.
         delayed_norm: norm of the loop with the delay `Cost.delay`.
-        designed_norm: norm, without delay, of a controller that was designed for this rate; None without such a design.
-        design_failure: reason if such a design was requested and failed; else empty.
+        designed_norm: norm, without delay, of a controller that was designed for this rate; None if there is no such design.
+        design_failure: if the design for this rate failed, the reason; else empty.
     """
 
     period: float
@@ -99,10 +99,10 @@ class Cost:
     Attributes:
         controller: controller of the loop.
         ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
-        lower_bound: lower bound on the norm with these measurements at any rate; None if it is unknown. The bound is proved for
-            time-invariant controllers, and time-varying controllers are not better (Khargonekar, Poolla 1986).
-        delay: delay of the forces in the delayed case [samples].
-        rates: norms at the sample rates, by increasing period.
+        lower_bound: lower bound on the norm with these measurements at any rate; None if no bound is known. The bound is proved
+            for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
+        delay: delay of the forces for the norms with delay [samples].
+        rates: norms at each sample rate, in ascending order of the period.
         unstable_period: shortest sample period at which the loop is not stable [s]; see `smallest_unstable_period`.
         lost_late: shortest sample period at which the loop with delay is not stable [s].
     """
@@ -121,7 +121,7 @@ class Cost:
         return any(at.designed_norm is not None or at.design_failure for at in self.rates)
 
     def loss(self, norm: SampledNorm) -> float:
-        """Returns the relative increase of a norm over that of the continuous loop; infinite for an unstable loop."""
+        """Returns the relative amount by which a norm exceeds the norm of the continuous loop; infinite for an unstable loop."""
         return norm.value / self.ideal - 1 if 0 < self.ideal < np.inf else np.nan if norm.stable else np.inf
 
 
@@ -135,11 +135,12 @@ def cost(
     """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle of the controller. Only the delay of its `[implementation]` is used [samples]; default 1.
+        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if it is missing, the
+            delay is 1.
         controller: linear controller.
         periods: sample periods in ascending order [s].
         designs: periods for which a static controller is also designed again [s].
-        done: callback that receives the number of finished periods.
+        done: function that is called with the number of finished periods.
 
     Raises:
         DesignError: the loop has no finite norm at any rate, because a constant road height affects z.
@@ -170,14 +171,14 @@ def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: floa
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if the controller can also be designed for a sampled-data loop: a static gain without noise."""
+    """Returns True if the controller can also be designed for a sampled-data loop, as for a static gain without noise."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or goes("rates", entry.parts)
     return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)
 
 
 def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
-    """Returns the norm of a gain that is designed for a sample period [s]; if the design fails, returns None and the reason."""
+    """Returns the norm of a gain that is designed for a sample period [s], or None and the reason if the design fails."""
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:
@@ -191,7 +192,7 @@ def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near:
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
     """Returns the lower bound for controllers without delay; the bound also holds with delay or lag.
 
-    The result is None if z weights an integral, because the norms at the rates do not include it.
+    The result is None if z contains an integral, because the norms at the sample rates do not include the integral.
     """
     if vehicle.integrals:
         return None

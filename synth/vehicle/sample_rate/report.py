@@ -19,9 +19,9 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.report import LOWER_BOUND, NORM, NORM_AS_IMPLEMENTED, PROOF, norm_failures
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
-LITTLE = 1e-2  # relative increase of the norm up to which a rate counts as cheap
-SAME = 5e-9  # relative difference below which a norm counts as equal to the continuous one
-FEW = 2  # number of controllers up to which each has a table; more tables would not fit a terminal
+LITTLE = 1e-2  # a rate counts as cheap if the relative increase of the norm is at most this value
+SAME = 5e-9  # a norm counts as equal to the continuous norm if their relative difference is smaller
+FEW = 2  # with at most this many controllers, each has its own table; more tables would not fit a terminal
 Kind = Callable[[AtRate], SampledNorm | None]  # function that selects one of the norms at a rate
 KINDS: dict[str, Kind] = {
     "at once": lambda at: at.undelayed_norm,
@@ -31,11 +31,11 @@ KINDS: dict[str, Kind] = {
 
 
 def describe(costs: Sequence[Cost], lag: str = "") -> Document:
-    """Returns the cost of low sample rates as a document: a summary with a row per controller, and a table per controller.
+    """Returns a document about the cost of low sample rates: a summary with a row for each controller, and a table for each one.
 
     Args:
         costs: cost of each controller.
-        lag: text about the actuator lag; empty without lag.
+        lag: text about the actuator lag; empty if there is no lag.
     """
     kinds = [name for name in KINDS if name != "designed" or any(one.redesigned for one in costs)]
     fields = [
@@ -55,11 +55,11 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
 
 
 def about(one: Cost, lag: str, designs: bool) -> str:
-    """Returns the explanation of the columns.
+    """Returns a text that explains the columns of the table.
 
     Args:
         one: cost of a controller.
-        lag: text about the actuator lag, which the norms in the design table do not include; empty without lag.
+        lag: text about the actuator lag, which the norms in the design table do not include; empty if there is no lag.
         designs: True if the table has a column of controllers designed for each rate.
     """
     designed = "designed: change with a gain designed for this rate. " if designs else ""
@@ -72,7 +72,7 @@ def about(one: Cost, lag: str, designs: bool) -> str:
 
 
 def _table(one: Cost, lag: str, detail: Detail) -> Document:
-    """Returns a document about one controller: its norm at each rate."""
+    """Returns a document about one controller, with its norm at each sample rate."""
     ideal = NORM.digits(one.ideal) if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
     name = one.controller.name
@@ -90,7 +90,7 @@ HERTZ = Field[float]("rate", lambda rate: rate, ".4g", unit="Hz")
 
 
 def _cheap(one: Cost) -> AtRate:
-    """Returns the slowest rate that counts as cheap; if there is no such rate, the fastest."""
+    """Returns the slowest sample rate that counts as cheap, or the fastest rate if none is cheap."""
     cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
     return cheap[-1] if cheap else one.rates[0]
 
@@ -163,19 +163,20 @@ RECORD = Record[Cost](
 
 
 POINTS = 60  # number of points of a curve
-HIGHEST = 1.5  # largest norm in the figure, as a multiple of the continuous norm; norms near the stability limit are unlimited
+# largest norm in the figure, as a multiple of the continuous norm, because norms near the stability limit are unbounded
+HIGHEST = 1.5
 MOST_TICKS = 9
 PROMPT, LATE, DESIGNED_COLOUR, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"
 
 
 def drawn_periods(periods: Sequence[float]) -> list[float]:
-    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and others between them."""
+    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and additional periods between them."""
     between = np.geomspace(periods[0], periods[-1], POINTS) if len(periods) > 1 else []
     return sorted({*periods, *np.clip(between, periods[0], periods[-1]).tolist()})
 
 
 def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[float]) -> Figure:
-    """Returns the figure of norms over the sample period.
+    """Returns the figure of norms as a function of the sample period.
 
     Args:
         vehicle: vehicle of the controllers, for the title.
@@ -231,7 +232,7 @@ def _norms(rates: Sequence[AtRate], kind: Kind) -> tuple[Array, Array]:
 
 
 def _shown_range(one: Cost) -> tuple[float, float]:
-    """Returns the lower and upper limit of the norms that the figure shows."""
+    """Returns the lower and upper limit of the axis for norms in the figure."""
     norms = [norm.value for at in one.rates for norm in (at.undelayed_norm, at.delayed_norm) if norm.stable]
     known = [value for value in (one.ideal, one.lower_bound) if value is not None and math.isfinite(value)]
     if not norms:

@@ -1,4 +1,4 @@
-"""Axes of a trade-off and their landscapes. Each axis is a norm to be minimised, with a proved bound."""
+"""Axes of a trade-off, and the norm on each axis as a function of the gain. Each norm is minimised and has a proved bound."""
 
 import re
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from synth.vehicle.multi_objective import with_outputs_of_norm
 BAND = (4.0, 8.0)  # default frequency band [Hz], in which people are most sensitive to vertical acceleration
 OFF = 0.1  # default relative error of each measurement
 LOWEST, HIGHEST = 1e-3, 1e3  # limits of a frequency band [Hz]
-FEWEST, MOST = 2, 3  # numbers of axes
+FEWEST, MOST = 2, 3  # smallest and largest number of axes
 ACCELERATIONS = ("m/s2", "rad/s2")
 AXES = ("ride", "travel", "road_holding", "force", "band", "tolerance")
 DEFLECTIONS = {"travel": "suspension_deflection", "road_holding": "tyre_deflection"}
@@ -38,8 +38,9 @@ class FrontAxis:
 
     Attributes:
         name: ride, travel, road_holding, force, band or tolerance.
-        norm: norm of the axis, with its signals and frequency band.
-        off: relative error of each measurement. If it is not zero, the axis is the worst norm for such errors.
+        norm: norm that is the value of the axis, with its signals and frequency band.
+        off: relative error of each measurement. If it is not zero, the value of the axis is the worst norm for errors up to
+            this size.
         meaning: one-line description.
         unit: unit of the norm, per m/s of road velocity.
     """
@@ -57,7 +58,7 @@ class FrontAxis:
 
 
 def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
-    """Returns the axes for a text such as `ride:travel` or `band=4-8:travel:force`.
+    """Returns the axes that a text such as `ride:travel` or `band=4-8:travel:force` describes.
 
     Raises:
         InputError: the number of axes is wrong, or an axis is repeated, unknown, or without signals in this vehicle.
@@ -82,7 +83,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
 
 
 def _axis(vehicle: Vehicle, name: str, given: str | None) -> FrontAxis:
-    """Returns the axis with this name, and with the value that follows its name in the text, if any."""
+    """Returns the axis with this name and, if the text contains one, the value after the name."""
     if name == "tolerance":
         return _tolerance(vehicle, given)
     if name == "force":
@@ -116,7 +117,7 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
 
 
 def _edges(given: str) -> tuple[float, float]:
-    """Returns the band [Hz] for a text such as 4-8."""
+    """Returns the frequency band [Hz] that a text such as 4-8 describes."""
     match = re.fullmatch(f"({NUMBER})-({NUMBER})", given)
     low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
@@ -127,7 +128,7 @@ def _edges(given: str) -> tuple[float, float]:
 
 
 def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
-    """Returns the body accelerations that `[performance]` weights, with their weights."""
+    """Returns the body accelerations to which `[performance]` gives weights, with these weights."""
     weights = {
         name: weight
         for name, weight in vehicle.performance.items()
@@ -152,12 +153,12 @@ def _weight_text(signals: Mapping[str, float]) -> str:
 
 
 def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
-    """Returns the unit of a norm of accelerations; if weights or units differ, a text that says weighted."""
+    """Returns the unit of a norm of accelerations, or the text "weighted" if weights or units differ."""
     units = {vehicle.kind.signal(name).unit.replace("s2", "s²") for name in signals}
     return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighted, per m/s"
 
 
-MOST_READINGS = 4  # largest number of measurements for an axis with errors, because all corners of the errors are used
+MOST_READINGS = 4  # largest number of measurements for an axis with errors, because all corners of the box of errors are used
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ class AxisValue:
     """Value of a law on one axis.
 
     Attributes:
-        value: norm of the axis.
+        value: norm that is the value of the axis.
         proved: proved upper bound on the norm.
         at: frequency at which the norm is attained [rad/s]; NaN for a norm with errors.
     """
@@ -177,7 +178,7 @@ class AxisValue:
 
 @numerics()
 def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
-    """Returns the value of a law on an axis; infinite if its loop, or a loop with errors, is unstable."""
+    """Returns the value of a law on an axis; infinite if the loop with this law is unstable, without or with errors."""
     problem = _axis_problem(vehicle, axis, entry)
     if axis.off and len(entry.measured):
         worst = worst_norm(problem.plant, None, law, axis.off)
@@ -194,7 +195,9 @@ def _axis_problem(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> 
 
 
 def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
-    """Returns one norm landscape for each combination of extreme measurement errors. The axis is the largest of their norms.
+    """Returns one norm landscape for each combination of extreme measurement errors.
+
+    The value of the axis is the largest of these norms.
 
     Args:
         vehicle: vehicle of the trade-off.

@@ -1,9 +1,8 @@
 """Designs along a trade-off front by continuation: from the ends of the front, along rays between them.
 
-A ray is given by a point u of the plane through the ends. Its design minimises the largest v_k / u_k, where v_k are the norms
-of the axes (Chebyshev's scalarisation). Every point of the front lies on a ray, whether the front is convex or not. Each
-descent is that of a design for goals. A descent starts at the known design that is best for the ray, so that the descent is
-short.
+A point u of the plane through the ends determines a ray. The design on this ray minimises the largest v_k / u_k, where v_k is
+the norm of axis k (Chebyshev's scalarisation). Every point of the front lies on a ray, whether the front is convex or not. Each
+descent works as in a design for goals. It starts at the known design that is best for the ray, so that the descent is short.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,13 +18,14 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
 from synth.plant.numerics import DesignError
 
-GROWTH = 5.0  # largest gain entry, as a multiple of the largest entry of the first start, if no bound limits the gain
-NEARLY = 1e-3  # relative distance of an end from the smallest value of its axis, which may reduce the other axes
-TIGHTER = 1e-7  # relative tightening of this distance, to allow for rounding
-SETTLED_STEP = 1e-7  # predicted relative decrease below which a descent ends
+GROWTH = 5.0  # largest gain entry if no bound limits the gain, as a multiple of the largest entry of the first starting gain
+# at an end, the norm of an axis may exceed its smallest value by this relative amount, which may reduce the other norms
+NEARLY = 1e-3
+TIGHTER = 1e-7  # relative amount by which this limit is tightened, to allow for rounding
+SETTLED_STEP = 1e-7  # a descent ends if the predicted relative decrease is smaller
 ROUNDS = 60  # largest number of rounds of a descent
-TIMES = 6  # largest number of descents to an end; each starts where the previous one ended
-NOTHING = 1e-9  # value of an axis, relative to its values elsewhere, that counts as zero
+TIMES = 6  # largest number of descents to an end; each starts where the previous descent ended
+NOTHING = 1e-9  # a value of an axis below this multiple of its other values counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,9 @@ class EvaluatedGain:
     """Gain with its values on all axes.
 
     Attributes:
-        x: point of the landscape that represents the gain.
+        x: point that represents the gain in the coordinates of the landscape.
         values: norms of the K axes, shape (K,).
-        excess: relative excess over the worst bound; see `Evaluation`.
+        excess: relative violation of the worst bound; see `Evaluation`.
     """
 
     x: Array
@@ -44,7 +44,7 @@ class EvaluatedGain:
 
 
 class FrontContinuation:
-    """Continuation along the front of one problem.
+    """Continuation of designs along the front of one problem.
 
     Attributes:
         met: all stable gains with finite values that were evaluated at the start or the end of a descent.
@@ -55,8 +55,8 @@ class FrontContinuation:
 
         Args:
             search: search with bounds, structure and starts; its goal is not used.
-            axes: landscapes of each axis. The largest of their norms is the value of the axis.
-            starts: starting gains, shape (m, q) each.
+            axes: for each axis, landscapes; the largest of their norms is the value of the axis.
+            starts: starting gains, each of shape (m, q).
 
         Raises:
             DesignError: no starting gain stabilises the loop or satisfies the bounds.
@@ -98,7 +98,7 @@ class FrontContinuation:
     def ends(self) -> Array:
         """Returns the norms at the ends of the front, shape (K, K).
 
-        Row k is the end at which axis k is within 0.1 % of its smallest value.
+        Row k contains the norms at the end where axis k is within 0.1 % of its smallest value.
         """
         return np.array([self._end(k).values for k in range(len(self.axes))])
 
@@ -134,7 +134,7 @@ class FrontContinuation:
         return start
 
     def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
-        """Runs a descent on the largest of some axes, each in its own unit, with bounds on others.
+        """Minimises the largest of the values of some axes, each relative to its own unit, with bounds on other axes.
 
         Returns:
             The end of the descent; `start` if the loop at the end is unstable.
@@ -148,7 +148,7 @@ class FrontContinuation:
 
 
 def rays(ends: Array, count: int) -> Iterator[Array]:
-    """Yields about `count` points of the plane through the ends, in an order in which successive points are neighbours.
+    """Yields about `count` points of the plane through the ends. Successive points are neighbours.
 
     Args:
         ends: norms at the ends, shape (K, K), where K is 2 or 3.
@@ -166,7 +166,7 @@ def rays(ends: Array, count: int) -> Iterator[Array]:
 
 
 def rays_of(axes: int, count: int) -> int:
-    """Returns the number of rays between two or three axes that is near the requested count."""
+    """Returns the possible number of rays between two or three axes that is closest to the requested count."""
     return count if axes == 2 else (_sides(count) + 1) * (_sides(count) + 2) // 2
 
 
@@ -176,7 +176,7 @@ def _sides(count: int) -> int:
 
 
 def undominated_rows(values: Array) -> Array:
-    """Returns a mask of the rows that no other row dominates, shape (N,); of equal rows, only the first counts.
+    """Returns a mask of the rows that no other row dominates, shape (N,). Only the first of several equal rows is included.
 
     Args:
         values: values of N designs on K axes, shape (N, K).

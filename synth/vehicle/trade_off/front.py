@@ -1,4 +1,4 @@
-"""Trade-off of a vehicle between two or three axes: certified designs on its front, lower bounds, and other controllers."""
+"""Trade-off of a vehicle between two or three axes: certified designs on the Pareto front, lower bounds, and other controllers for comparison."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +31,7 @@ from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits
 from synth.vehicle.verification import Verification
 
 DESIGNS = 200  # default number of designs
-SLOWER = 0.1  # smallest decay rate of a design, relative to that of the first starting gain, if the goals give no bound
+SLOWER = 0.1  # smallest decay rate of a design, relative to the decay rate of the first starting gain, if the goals give no bound
 MARKED_POINTS = 9  # number of representative points
 
 
@@ -42,7 +42,8 @@ class Point:
     Attributes:
         controller: controller with its certificate for `[performance]`.
         norms: values on the axes.
-        travel: largest suspension deflection over the paper's bump [m]; None if it is not requested, or without suspension.
+        travel: largest suspension deflection over the paper's bump [m]; None if it is not requested, or if the vehicle has no
+            suspension.
     """
 
     controller: Controller
@@ -57,7 +58,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Trade-off of a vehicle.
+    """Trade-off of a vehicle: certified designs on the Pareto front, and lower bounds.
 
     Attributes:
         vehicle: vehicle of the trade-off.
@@ -108,12 +109,12 @@ def front(
         name: name of the controller whose measurements, bounds and structure the designs use.
         axes: two or three axes.
         others: names of controllers that are shown for comparison.
-        count: approximate number of designs.
-        on_progress: callback that receives the number of finished designs.
+        count: approximate number of designs that are made.
+        on_progress: function that is called with the number of finished designs.
 
     Raises:
-        InputError: designs cannot be based on this controller (see `entry_of`), or it has too many measurements for an axis
-            with errors.
+        InputError: designs cannot be based on this controller (see `entry_of`), or the controller has too many measurements for
+            an axis with errors.
         DesignError: no gain satisfies the bounds.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
@@ -150,7 +151,7 @@ def front(
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
-    """Returns the section of a controller on which the designs of a front are based.
+    """Returns the section of the controller on which the designs of a front are based.
 
     Raises:
         InputError: the designs of a front cannot be based on this section.
@@ -188,12 +189,12 @@ def marked_indices(count: int) -> list[int]:
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
-    """Returns the continuation that searches for the designs."""
+    """Returns the continuation object that searches for the designs."""
     problem = goal_problem(vehicle, entry, entry.goals or Goals())
     plant_problem, starts = problem.members[0].plants[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
-    with contextlib.suppress(InputError):  # includes DesignError
+    with contextlib.suppress(InputError):  # InputError includes DesignError
         starts.append(plant_problem.on_readings(two_step_design(plant_problem).gain))
     if problem.decay is None and starts:
         decay = -float(
@@ -209,9 +210,9 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
 def _others(
     designer: Designer, axes: Sequence[FrontAxis], names: Sequence[str], loads: Sequence[tuple[str, float]]
 ) -> Iterator[tuple[str, Point | str]]:
-    """Yields the name of each other controller, and its values on the axes for the loads of the designs.
+    """Yields the name of each other controller, and its values on the axes, with the same loads as for the designs.
 
-    For a controller that is omitted, the second value is the reason.
+    For a controller that is omitted, the second item is the reason.
     """
     for name in names:
         try:

@@ -1,4 +1,6 @@
-"""Joint lower bounds on two norms, proved for all controllers, even those that measure the whole state and the road.
+"""Joint lower bounds on two norms.
+
+They are proved for all controllers, even for controllers that measure all states and the road.
 
 For any controller, the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
 the norms of z_i and z_j. Let g be a lower bound on the norm of the stack for some weights a and b. No controller therefore lies
@@ -6,9 +8,9 @@ in the ellipse
 
     a^2 v_i^2 + b^2 v_j^2 < g^2.
 
-Many weights together give a curve. If no control force changes a direction of z at one frequency of a band, the bound also
-holds for a norm in this band. The weights are powers of two, so that the numbers of the plant are not rounded. The proofs,
-which are exact, then apply to the plant itself.
+The bounds for many weights together give a curve. If the bound comes from a direction of z that no control force can change at
+some frequency of a band, it also holds for a norm in this band. The weights are powers of two, so that the numbers of the plant
+are not rounded. The proofs, which are exact, then apply to the plant itself.
 """
 
 import contextlib
@@ -25,9 +27,9 @@ from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 
-RATIOS = range(-9, 10)  # exponents of two: ratios of the two weights, each in units of its axis
-IN_BAND = 24  # number of frequencies at which a bound in a band is computed
-DOWN = 1 - 1e-12  # factor on the bound, to allow for rounding of the curve
+RATIOS = range(-9, 10)  # ratios of the two weights as powers of two, each weight in units of its axis
+IN_BAND = 24  # number of frequencies at which a bound for a band is computed
+DOWN = 1 - 1e-12  # factor that reduces the bound, to allow for rounding of the curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ class LowerBoundCurve:
 
     Attributes:
         axes: indices of the two axes.
-        weights: weights of both outputs in M stacked outputs, shape (M, 2).
+        weights: weights of both outputs in M stacks of outputs, shape (M, 2).
         norms: lower bounds on the norm of each stack, shape (M,).
     """
 
@@ -53,7 +55,7 @@ class LowerBoundCurve:
         return np.where(never, np.nan, of.max(axis=0, initial=0.0) * DOWN)
 
     def share(self, values: Array) -> Array:
-        """Returns the position of N points relative to the curve, shape (N,): 1 on the curve, above 1 beyond it.
+        """Returns the position of N points relative to the curve, shape (N,): 1 for a point on the curve, more for a point above it.
 
         Args:
             values: values of the points on both axes, shape (N, 2).
@@ -78,7 +80,7 @@ def limits(plants: list[Plant], bands: list[Band], units: Array) -> Iterator[Low
 def _limit(plants: list[Plant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
     one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
     weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
-    norms = np.zeros(len(weights))  # stays 0 if no bound is found
+    norms = np.zeros(len(weights))  # remains 0 if no bound is found
     for i, weight in enumerate(weights):
         kept = [(plants[k], bands[k], own) for k, own in zip(pair, weight, strict=True) if own > 0]
         stack = replace(

@@ -27,7 +27,7 @@ NUMBERS: tuple[Field[Point], ...] = (
     BOUND.of(lambda point: point.controller.certificate),
     TRAVEL,
 )
-Row = tuple[str, Point, Array | None, str]  # name, point, values in MuJoCo, and gain
+Row = tuple[str, Point, Array | None, str]  # name, point, values in MuJoCo, and gain as text
 
 
 def describe(front: Front, measured: Array | None = None, most: int = MARKED_POINTS) -> Document:
@@ -38,7 +38,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
 
     Args:
         front: front to describe.
-        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None without simulations.
+        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
         most: largest number of representative points in the table.
     """
     shown = dict.fromkeys(round(i) for i in np.linspace(0, len(front.marked) - 1, min(most, len(front.marked))))
@@ -47,7 +47,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     for k in shown:
         i = front.marked[k]
         rows.append((str(i + 1), front.points[i], None if measured is None else measured[k], _gain(front.points[i])))
-    if measured is None:  # simulations contain no values for the other controllers
+    if measured is None:  # simulations give no values for the other controllers
         rows += [(name, others[name], None, "-") for name in without_copies(others)]
     fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
     for k, axis in enumerate(front.axes):
@@ -76,7 +76,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
 
 
 def _results(front: Front) -> list[str]:
-    """Describes the range of the front on each axis, and the number of designs that dominate each other controller."""
+    """Describes the range of the front on each axis and, for each other controller, the number of designs that dominate it."""
     columns = zip(front.axes, front.values.T, strict=True)
     ends = ", ".join(f"{axis.name} from {VALUE.digits(values.min())} to {VALUE.digits(values.max())}" for axis, values in columns)
     beaten = {}
@@ -102,7 +102,7 @@ DESIGN = Record[Point](Record(measured="controller.measured", gain="controller.g
 
 
 def _design(front: Front, point: Point, /, **named: Any) -> dict[str, Any]:
-    """Returns a design as JSON: the given values first, then its norms on every axis and its gain."""
+    """Returns a design as JSON: first the given values, then the norms on all axes and the gain."""
     axes = zip(front.axes, point.norms, strict=True)
     return {**named, "values": {axis.name: CLAIM(norm) for axis, norm in axes}, **DESIGN(point)}
 
@@ -126,7 +126,7 @@ RECORD = Record[Front](
 def write_csv(front: Front, path: Path) -> None:
     """Writes a CSV file in SI units with a row for each point and each other controller.
 
-    Unknown numbers, and the gains of other controllers, are empty.
+    Cells for unknown numbers and for the gains of other controllers are empty.
     """
     names, (m, q) = [axis.name for axis in front.axes], front.points[0].controller.gain.shape
     entries = [f"gain_{i + 1}_{j + 1}" for i in range(m) for j in range(q)]
@@ -159,8 +159,9 @@ def _gain(point: Point) -> str:
 
 
 WIDER = 0.06  # margin of a panel around the points, relative to their range
-BESIDE = 1.5  # distance from the front, relative to its range, beyond which other controllers are listed instead of drawn
-SAME = 0.005  # distance, relative to the range of a panel, below which controllers share one mark
+# distance from the front, relative to the range of the front, beyond which other controllers are listed instead of drawn
+BESIDE = 1.5
+SAME = 0.005  # controllers share one mark if their distance, relative to the range of a panel, is smaller
 FINE = 400  # number of points of the curve in each direction
 DESIGNS, LINE, MEASURED = BLUE, BLACK, VERMILLION
 
@@ -170,7 +171,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
 
     Args:
         front: front to draw.
-        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None without simulations.
+        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
     kind = front.vehicle.kind.name.replace("_", " ")
@@ -203,7 +204,8 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     for names in _together(others, beyond, ranges):
         (x, y), text, (color, _, marker) = np.array(others[names[0]])[:, None], ", ".join(names), look[names[0]]
         curves.append(Curve(x, y, text, color, "none", marker, name=f"controller {text}"))
-    # If several wheels follow one road, MuJoCo need not reach the norm. Its points would then seem to cross the bound.
+    # If several wheels follow one road, the gain in MuJoCo can be below the norm. Points from MuJoCo would then seem to violate
+    # the bound.
     alone = len(front.vehicle.kind.wheels) == 1
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
         label = "MuJoCo on one sinusoid, which approaches the norm from below"
@@ -234,7 +236,7 @@ def _together(
 
 
 def _shown_range(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:
-    """Returns the ranges of both axes, and a mask of the other controllers outside these ranges, shape (N,)."""
+    """Returns the ranges of both axes, and a mask of the other controllers that are outside these ranges, shape (N,)."""
     low, high = values.min(axis=0), values.max(axis=0)
     size = np.where(high > low, high - low, np.where(high > 0, high, 1.0))
     beyond = np.any((others > high + BESIDE * size) | (others < low - BESIDE * size), axis=1)
