@@ -181,8 +181,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns columns for a run over a random road: expected metrics, and the share of the transient that remains at the start of
-    the measurement.
+    """Returns columns for a run over a random road: expected metrics, and the transient left at the start of the measurement.
 
     The result is empty if the road has no spectrum.
     """

@@ -78,7 +78,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
             counted = {who: one.value(each) for who, each in every.items() if one not in FORCES or who.controller != PASSIVE}
             shown.add(min((who for who in counted if counted[who] is not None), key=counted.__getitem__, default=None))
         there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
-        # Also shows a controller of which all variants have aborted runs
+        # If all variants of a law have aborted runs, the first one is shown.
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""

@@ -1,5 +1,4 @@
-"""Execution of the batches of a campaign, on threads of this machine or on a Ray cluster. Threads and clusters give the same
-results."""
+"""Execution of the batches of a campaign, on threads of this machine or on a Ray cluster."""
 
 import itertools
 import socket

@@ -137,8 +137,7 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields each possible cause: a function that describes it for a given size, and the change of all residuals per unit of
-    size."""
+    """Yields each possible cause: a function from its size to a text, and the change of all residuals per unit of size."""
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]
@@ -233,8 +232,7 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
 
 
 def dahl_friction(travel: Array, lengths: Array) -> Array:
-    """Returns the friction w relative to its largest value, shape (T, m): w' = (v - |v| w) / length, where v is the travel's
-    rate.
+    """Returns the friction w relative to its largest value, shape (T, m): w' = (v - |v| w) / length, v the travel's rate.
 
     Args:
         travel: suspension travel at the samples, shape (T,).
@@ -277,8 +275,7 @@ def resonances(of: Estimate) -> list[str]:
 
 
 def airborne(of: Estimate) -> list[tuple[int, Array]]:
-    """Returns the experiments in which a wheel leaves the road: number, and for each sample True while the wheel is in the
-    air."""
+    """Returns the experiments in which a wheel leaves the road: number, and True for each sample in the air."""
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
         if one.experiment.hubs or one.experiment.part:
