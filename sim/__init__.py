@@ -1,4 +1,4 @@
-"""Simulations in MuJoCo, their comparison with linear analysis, logs, and the commands.
+"""Simulations in MuJoCo, their comparison with linear analysis, logs, and the commands of Roadproof.
 
 Start with `run`, which drives a controller over a road and returns a `Run`. Each public name is imported when it is first used.
 All units are SI. The public names are:
@@ -8,7 +8,7 @@ All units are SI. The public names are:
 - Measure in MuJoCo and compare with linear analysis: `find_margins` (stability margins) and `measure_responses` (frequency
   responses).
 - Record: `run_log` returns the content of a log, and `record` writes the files.
-- Select a controller: `recommend` searches the best controllers for a vehicle and a road, and returns a `Recommendation`.
+- Select a controller: `recommend` searches for the best controllers for a vehicle and a road, and returns a `Recommendation`.
 - Add a control law in Python: `Driver` is the interface that the simulation loop calls for many runs simultaneously.
 
 All other names of these modules can change without notice.
@@ -18,7 +18,7 @@ import sys
 
 try:
     from models.common.lazy import attach
-except Exception as error:  # the user has a file or folder with the name of one of Roadproof's packages
+except Exception as error:  # a file or folder of the user has the same name as a package of Roadproof
     from importlib.util import find_spec
 
     _spec = find_spec("models")

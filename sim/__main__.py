@@ -36,7 +36,7 @@ examples:
   roadproof bump --controller I
   roadproof bump --help
 """
-PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")  # commands that are a package, not a module
+PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")  # commands that are packages, not modules
 VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # subcommand of `roadproof`: module name
 
 
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     if arguments is None and words and words[0] in VERBS:
         roadproof()
-    if words and " " in VERBS.get(words[0], ""):  # a study without a module of its own
+    if words and " " in VERBS.get(words[0], ""):  # a study that does not have its own module
         from sim.command import study
 
         return study.main(words[0], words[1:])
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def table() -> list[str]:
-    """Returns the table of commands. Each command has two lines: its purpose, then its main options."""
+    """Returns the table of commands. Each command has two lines: one for its purpose and one for its main options."""
     lines = ["Commands, each as `roadproof NAME`:", ""]
     for verb, (_, purpose, options) in zip(VERBS, COMMANDS, strict=True):
         lines += [f"  {verb:10}  {purpose}", f"  {'':10}  {options}"]

@@ -1,4 +1,4 @@
-"""`python -m sim.bump`: drives controllers over a bump in MuJoCo, compares with linear analysis, and writes logs."""
+"""`python -m sim.bump`: simulates controllers over a bump in MuJoCo, compares with linear analysis, and writes logs."""
 
 if __name__ == "__main__":
     from models.common.cli import run

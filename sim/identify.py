@@ -1,4 +1,4 @@
-"""`python -m sim.identify`: a vehicle file from measured logs, with intervals."""
+"""`python -m sim.identify`: identifies the parameters of a vehicle from measured logs and writes a vehicle file."""
 
 if __name__ == "__main__":
     from models.common.cli import run

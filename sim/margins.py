@@ -1,4 +1,4 @@
-"""`python -m sim.margins`: computes gain, phase, delay and sample-period margins of a loop, and confirms them in MuJoCo."""
+"""`python -m sim.margins`: computes gain, phase, delay and sample-period margins of a loop, and checks them in MuJoCo."""
 
 if __name__ == "__main__":
     from models.common.cli import run

@@ -50,11 +50,12 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
     Args:
         plan: all runs of the campaign.
-        start, stop: number of the first run, and number after the last run.
+        start, stop: number of the first run, and number of the last run plus 1.
         stopped: function that returns True to abort; called repeatedly during the simulation.
     """
     runs, rows = plan.runs(start, stop), {}
-    # Runs over random roads are measured after `settle`, when the transient has decayed; runs over a bump or hump from the start.
+    # Runs over random roads are measured after the time `settle`, when the transient has decayed. Runs over a bump or a hump are
+    # measured from the start.
     alike: dict[tuple[str, bool, bool], list[int]] = {}
     for i, run in enumerate(runs):
         alike.setdefault((run.inputs["controller"], run.choice.stationary, bool(run.choice.loads)), []).append(i)
@@ -74,7 +75,7 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 
 class RowObserver:
-    """Observer that computes the metrics of runs, finds the end of their linear regime, and compares them with analysis."""
+    """Observer of runs: computes the metrics, finds the end of the linear regime, and compares the runs with analysis."""
 
     def __init__(self, plan: Plan, runs: Sequence[PlannedRun], batch: Batch) -> None:
         """Prepares the measurement of a batch.
@@ -105,7 +106,7 @@ class RowObserver:
             self._twin.take(block)
 
     def result(self) -> list[tuple[RunEnd, dict[str, Any]]]:
-        """Returns, for each run, the end of its linear regime and its measured columns."""
+        """Returns for each run when its linear regime ends, and its measured columns."""
         ends, measured = self._ends.result(), self._meter.result()
         if self._linear is not None:
             measured |= {f"{LINEAR}{name}": each for name, each in self._linear.result().items()}
@@ -148,7 +149,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
 
 
 def end_columns(end: RunEnd) -> dict[str, Any]:
-    """Returns columns of a row: the reason why a run broke off (None if it did not), and when and why its linear regime ended."""
+    """Returns columns of a row: the reason if the run was aborted (else None), and when and why its linear regime ended."""
     reason = None
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"
@@ -165,7 +166,7 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
 
 
 def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
-    """Returns the IRIs [m/km] of the driven part of a run's road, by name.
+    """Returns the international roughness indices (IRI) of the driven part of a run's road [m/km], by name.
 
     `plan` keeps the IRIs for other runs over the same road.
     """
@@ -180,7 +181,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns columns of a run over a random road: expected metrics, and the transient that remains when the measurement begins.
+    """Returns columns for a run over a random road: expected metrics, and the transient left at the start of the measurement.
 
     The result is empty if the road has no spectrum.
     """

@@ -1,7 +1,7 @@
-"""Selection of the best controller of a campaign by one metric, within limits on others, and the vehicle file that contains it.
+"""Selects the best controller of a campaign by one metric, within limits on other metrics, and writes it to a vehicle file.
 
-Candidates are all controllers. If the law of a controller is sampled, each of its variants is a candidate. All candidates are
-simulated over the same roads.
+All controllers of the campaign are candidates. If the law of a controller is sampled, each of its variants is a candidate. All
+candidates are simulated over the same roads.
 """
 
 import math
@@ -123,7 +123,7 @@ class Choice:
 
     @property
     def limits(self) -> str:
-        """The limits of the request after the word "within"; empty without limits."""
+        """Text " within" followed by the limits of the request; empty if there are no limits."""
         return f" within {self.request.words}" if self.request.limits else ""
 
 
@@ -166,7 +166,7 @@ def _check_metric(option: str, name: str, campaign: Campaign) -> None:
 def _known_metrics(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
     """Returns the metrics of a vehicle by name.
 
-    A name is either one column of the results, or a name of the registry `METRICS` with all columns that it compares.
+    A metric is either a single column of the results, or an entry of the registry `METRICS`, which may combine several columns.
     """
     compared = {name: metrics for name, metrics in compared_metrics(vehicle, campaign.loaded).items() if metrics}
     return {metric.name: (metric,) for metric in metrics_of(vehicle, campaign.loaded)} | compared
@@ -226,8 +226,8 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
 
     Args:
         path: file to write.
-        campaign: campaign of the choice.
-        choice: result of the selection, with a candidate.
+        campaign: campaign from which the controller was chosen.
+        choice: result of the selection, which must contain a candidate.
         command: command line of the campaign.
         identity: checksum of the campaign.
 

@@ -35,7 +35,7 @@ from sim.drive import RUNS_AT_ONCE
 from sim.studies.ride.score_table import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
-MOST_OF_A_RUN = 0.99  # if a road from a file covers a smaller share of the run, the command prints a remark
+MOST_OF_A_RUN = 0.99  # a remark is printed if a road from a file covers a smaller share of the run
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect the results
 
 
@@ -240,7 +240,7 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """Returns the number of runs, the result of `verify`, and a remark if the campaign file has changed or no longer exists."""
+    """Returns the number of runs, the findings of `verify`, and a remark if the campaign file has changed or no longer exists."""
     manifest = read_manifest(folder, FINISHED_ADVICE) if folder.is_dir() else None
     if manifest is None:
         raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED_ADVICE}")

@@ -62,7 +62,8 @@ def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
     controllers: dict[str, dict[str, AnyController]] = {}
     drawn: dict[str, dict[str, list[AnyController]]] = {}
     for name, vehicle in campaign.vehicles.items():
-        designer = Designer(vehicle, search=False)  # one for all controllers, which share the path of (22) and the lower bounds
+        # One designer for all controllers, so that they share the solutions of (22) and the lower bounds
+        designer = Designer(vehicle, search=False)
         controllers[name] = {one: _restore_controller(designer, one, gains[name][one]) for one in campaign.controllers}
         laws = campaign.variants[name].items()
         drawn[name] = {one: [_draw_controller(designer, one, values) for values in variants] for one, variants in laws}
@@ -99,7 +100,7 @@ def _draw_controller(designer: Designer, name: str, values: Values) -> AnyContro
 
 
 def check_code(gains: Gains, exported: Path) -> None:
-    """Checks that the exported code in a folder is that with which the campaign began.
+    """Checks that the exported code in a folder is the code with which the campaign began.
 
     Raises:
         InputError: the code differs, or the campaign began without exported code.

@@ -43,7 +43,7 @@ FILE_POINTS = {
 
 
 def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
-    """Returns the seeds of a list; for an integer n, the seeds 0, 1, ..., n - 1."""
+    """Returns the seeds in a list, or the seeds 0, 1, ..., n - 1 for an integer n."""
     if not isinstance(value, list) or not value:
         return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
     return ListedValues("", Integer("", high=MOST_SEED)).read(value, context)
@@ -86,8 +86,8 @@ class Campaign:
     """Content of a campaign file. Runs are all combinations of vehicles, controllers, roads, speeds, seeds and samples.
 
     Attributes:
-        vehicles: vehicles by their names in the campaign file.
-        controllers: names of the controllers; every vehicle has all of them.
+        vehicles: vehicles, by their names in the campaign file.
+        controllers: names of the controllers; every vehicle must have all of them.
         roads: requested roads.
         speeds: speeds of the vehicles [m/s].
         seeds: seeds of the random roads. Any other road is simulated once.
@@ -95,8 +95,8 @@ class Campaign:
         settle: duration of the initial part of a run that is not measured [s], for random roads. Runs over other roads are
             measured from the start.
         timestep: timestep of the simulation [s].
-        samples: samples of each vehicle; values [SI] by parameter. A single empty sample if nothing is sampled.
-        variants: variants of each sampled law, by vehicle and controller; values by key of the law.
+        samples: samples of each vehicle's parameters: values [SI] by name. If nothing is sampled, there is a single empty sample.
+        variants: variants of each sampled law, by vehicle and controller: values by key of the law.
         sample_seed: seed of samples and variants.
         text: text of the campaign file.
         earlier: True to repeat a campaign of an earlier version, see `RoadInput.earlier`.
@@ -123,7 +123,7 @@ class Campaign:
 
     @property
     def loaded(self) -> bool:
-        """True if any road has loads. In this case, the angles of all bodies are measured."""
+        """True if any road has loads. If a road has loads, the angles of all bodies are measured."""
         return any(road.loads for road in self.roads)
 
     @property
@@ -134,7 +134,8 @@ class Campaign:
     @property
     def digest(self) -> str:
         """Checksum of all inputs of the results: the campaign file, the vehicle files and the files of roads."""
-        # Roads of OpenCRG come last whatever their order in the file, because existing results folders contain this checksum.
+        # OpenCRG roads always come last, whatever their order in the file, because existing results folders contain checksums in
+        # this order.
         roads = sorted(self.roads, key=lambda road: isinstance(road.road, Surface))
         measured = [line for road in roads for line in _file_checksums(road)]
         sources = "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
@@ -196,7 +197,8 @@ def _parse(text: str, folder: Path) -> Campaign:
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     for name, vehicle in vehicles.items():
-        print_remarks(with_sample(vehicle, campaign.samples[name][0]))  # remarks show if a distribution has the wrong unit
+        # Prints remarks if a distribution seems to have the wrong unit
+        print_remarks(with_sample(vehicle, campaign.samples[name][0]))
     return campaign
 
 

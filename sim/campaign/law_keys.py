@@ -1,6 +1,6 @@
 """Keys of a control law that a campaign can sample: parameters of a semi-active law, entries of a gain or of a law's matrices.
 
-A sampled law is read in the same way as a section of a vehicle file, with the same limits. A sampled law can therefore be
+A sampled law is read in the same way, and with the same limits, as a section of a vehicle file. A sampled law can therefore be
 written to a vehicle file.
 """
 

@@ -52,14 +52,14 @@ class Candidate:
 class RunBlock:
     """All runs of one vehicle with one controller over one road at one speed.
 
-    The runs have consecutive numbers. Seeds change fastest, then samples, then variants.
+    The runs have consecutive numbers. The seed changes fastest from run to run, then the sample, then the variant.
 
     Attributes:
         start: number of the first run.
         vehicle, controller: names in the campaign file.
         road, speed: road, and speed [m/s].
-        variants: sampled values of the law by key, for each variant; None if the law is not sampled.
-        samples: sampled parameters of the vehicle by name [SI], for each sample; a single empty sample if none are sampled.
+        variants: for each variant, the sampled values of the law by key; None if the law is not sampled.
+        samples: for each sample, the sampled parameters of the vehicle by name [SI]; a single empty sample if none are sampled.
         seeds: seeds of the road; only the first seed if the road is not random.
     """
 
@@ -84,7 +84,7 @@ class RunBlock:
 
     @property
     def candidates(self) -> dict[Candidate, Array]:
-        """The controller, or each of its variants, with the numbers of its runs, shape (n,)."""
+        """The controller, or each of its variants, with the numbers of the runs, shape (n,)."""
         numbers = [None] if self.variants is None else range(len(self.variants))
         runs = np.split(np.arange(self.start, self.stop), len(numbers))
         return {Candidate(self.controller, number): some for number, some in zip(numbers, runs, strict=True)}
@@ -94,13 +94,14 @@ class RunBlock:
 class Plan:
     """All runs of a campaign with their numbers.
 
-    Vehicles change slowest, then controllers, roads and speeds. A road that is not random is simulated once, not for each seed.
+    From run to run, the vehicle changes most slowly, then the controller, the road and the speed. A road that is not random is
+    simulated once, not for each seed.
 
     Attributes:
         campaign: the campaign.
         controllers: controllers by vehicle and name.
         variants: sampled laws by vehicle and controller, one for each variant.
-        roughness: IRIs [m/km] of roads that are computed already; kept for a while, because many runs share a road.
+        roughness: IRIs [m/km] of recent roads, kept because many runs share a road.
     """
 
     campaign: Campaign
@@ -149,7 +150,7 @@ class Plan:
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
         """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
 
-        If a law is sampled, every variant is a candidate instead of its controller.
+        If a law is sampled, its variants are candidates instead of the controller itself.
         """
         runs: dict[Candidate, list[Array]] = {}
         for block in (one for one in self.blocks if one.vehicle == vehicle):
@@ -228,7 +229,7 @@ class PlannedRun:
     """All inputs of one run.
 
     Attributes:
-        inputs: columns of the results that describe the inputs.
+        inputs: columns of the results that describe the inputs of the run.
         vehicle: vehicle with the sampled values.
         controller: controller of the run.
         choice, road: road as requested in the campaign file, and the road itself for this vehicle, speed and seed.
@@ -247,7 +248,7 @@ class PlannedRun:
 
 
 class Progress:
-    """Progress of a campaign: finished runs, speed, remaining time, and size of the next batch."""
+    """Progress of a campaign: finished runs, speed of the simulation, remaining time, and size of the next batch."""
 
     def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
         self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()

@@ -69,7 +69,7 @@ class Sampler:
             own: values in the vehicle file of all parameters that can be sampled; None for a parameter without a value.
                 Relative distributions are multiples of these values.
             check: function that raises InputError if a value is not allowed.
-            units: units of the parameters that have one.
+            units: units of the parameters that have a unit, by name.
 
         Raises:
             InputError: the table contains an unknown name or an invalid distribution, or a distribution reaches an invalid
@@ -113,8 +113,8 @@ def read_samples(
         controllers: names of the controllers of the campaign.
 
     Returns:
-        Samples by vehicle, a single empty one if no parameter is sampled; variants by vehicle and controller, only for sampled
-        laws; and the seed.
+        Samples by vehicle (a single empty sample if no parameter is sampled), variants by vehicle and controller (only for
+        sampled laws), and the seed.
     """
     of_vehicles: dict[str, tuple[Values, ...]] = {name: ({},) for name in vehicles}
     of_laws: dict[str, dict[str, tuple[Values, ...]]] = {name: {} for name in vehicles}

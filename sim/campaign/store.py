@@ -32,7 +32,8 @@ class Store:
         folder: folder of the results.
         schema: columns of the results.
         share: numbers of the runs in the finished results, as ascending (start, stop).
-        parts: complete files of batches by the number of their first run; each has the number after its last run, and its path.
+        parts: complete files of batches, by the number of the first run; each entry contains the number after the last run, and
+            the path.
         damaged: a sentence for each incomplete file, whose runs are simulated again.
     """
 
@@ -137,7 +138,7 @@ class Store:
         self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns the columns with these names, with all rows that exist so far.
+        """Returns the columns with these names. They contain all rows that exist so far.
 
         Raises:
             InputError: a file is damaged, or another version of Roadproof wrote it with other columns.
@@ -163,9 +164,9 @@ def _are_runs(table: pa.Table, runs: Runs) -> bool:
 
 
 def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.Table:
-    """Returns the columns `names` of a file, and checks that the file also has the columns `expected`."""
+    """Returns the columns `names` of a file, and checks that the file also contains the columns `expected`."""
     # Arrow, not Python, opens the file: a thread of Arrow that releases memory of Python while the interpreter ends would abort
-    # the process. ParquetFile does not receive the path, because it takes a path with a colon for an address.
+    # the process. The path itself is not passed to ParquetFile, which would read a path with a colon as an address.
     with reading(path, "results", "remove it, and run the campaign again"), pa.OSFile(str(path)) as stream:
         file = pq.ParquetFile(stream)
         other = {*expected, *names} - {*file.schema_arrow.names}

@@ -38,7 +38,7 @@ LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for o
 
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics of the table by name: ride, travel and dynamic load. The table shows the worst column of each."""
+    """Returns the metrics in the table by name: ride, travel and dynamic load. The table shows the worst column of each."""
     headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
     return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
@@ -66,7 +66,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
     """Returns the printed lines of a table of scores for each vehicle. A variant appears only if it is best in some column.
 
     Args:
-        campaign: the campaign. Runs over random roads are measured after its `settle` time.
+        campaign: the campaign. Runs over random roads are measured after the `settle` time of the campaign.
         scores: scores over all runs, see `compare`.
         chosen: a candidate of each vehicle that its table always contains; None for no such candidate.
     """
@@ -78,7 +78,8 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
             counted = {who: one.value(each) for who, each in every.items() if one not in FORCES or who.controller != PASSIVE}
             shown.add(min((who for who in counted if counted[who] is not None), key=counted.__getitem__, default=None))
         there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
-        shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # if all variants have broken off
+        # If all variants of a law have aborted runs, the first one is shown.
+        shown |= {who for who in every if who.variant == 0 and who.controller not in there}
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
@@ -97,8 +98,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     runs. The entry also contains the root mean square of the prediction for the same runs. The prediction is the expected value
     for random roads, and the linear response for other roads. Laws in Python have no prediction.
 
-    A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run broke off. Runs
-    that broke off have no metrics: neither their results nor their predictions count. Runs whose law failed have no metrics
+    A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run was aborted.
+        Aborted runs have no metrics: neither their results nor their predictions count. Runs whose law failed have no metrics
     either. For a sampled law, the entry also contains the root mean squares of each variant.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
@@ -137,7 +138,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
 
 def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
-    """Returns statistics of the worst of some metrics: value over all runs, standard error, 95th percentile and prediction.
+    """Returns statistics of the worst metric: value over all runs, standard error, 95th percentile and prediction.
 
     Runs without metrics do not count. All entries are None if the vehicle type has none of these columns: a vehicle without a
     suspension, for example, has no travel.
@@ -253,7 +254,7 @@ def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns sentences about controllers with runs that broke off or failed, and about laws in Python and FMUs."""
+    """Returns sentences about controllers with aborted or failed runs, and about laws in Python and FMUs."""
     said = []
     for entry in entries:
         who = as_name(entry["controller"])
@@ -345,7 +346,7 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
     """Returns the expected dynamic load and ride of a vehicle at a speed.
 
-    Both results are empty if the road is not random, the parameters of the vehicle are sampled, or the vehicle has no
+    Both results are empty if the road is not random, if the parameters of the vehicle are sampled, or if the vehicle has no
     semi-active dampers.
 
     Args:
@@ -355,8 +356,8 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
         speed: speed of the vehicle [m/s].
 
     Returns:
-        Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name, as
-        if ideal actuators applied every requested force; controllers with a sampled law are omitted.
+        Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name,
+        computed as if ideal actuators applied every requested force. Controllers with a sampled law are omitted.
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)

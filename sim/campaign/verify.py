@@ -56,7 +56,7 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
 
 
 def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
-    """Yields a sentence if the rows are not one per run in order; otherwise, a sentence about the first row with wrong inputs."""
+    """Yields a sentence if rows are missing, doubled or in the wrong order, or else about the first row with wrong inputs."""
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
         few = f"the results have {len(table)} rows for {plan.count} runs"
         yield few if len(table) != plan.count else "the rows of the results are not in the order of the runs"

@@ -1,4 +1,4 @@
-"""Execution of the batches of a campaign, on threads of this machine or on a Ray cluster. Both give the same results."""
+"""Execution of the batches of a campaign, on threads of this machine or on a Ray cluster."""
 
 import itertools
 import socket
@@ -28,7 +28,7 @@ def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 
 def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Generator[BatchResult]:
-    """Runs batches on threads, and yields the result of each when it is complete.
+    """Runs batches on threads, and yields the result of each batch when it is complete.
 
     Threads run in parallel, because MuJoCo and NumPy release Python's global interpreter lock.
     """
@@ -88,7 +88,7 @@ def _check_address(address: str) -> None:
 
 
 def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchResult]:
-    """Runs batches on the connected Ray cluster, and yields the result of each. If a worker dies, its batch is repeated."""
+    """Runs batches on the connected Ray cluster, and yields the result of each batch. If a worker dies, its batch is repeated."""
     import ray  # pyright: ignore[reportMissingImports] - an extra
 
     remote: Any = ray.remote(num_cpus=1, max_retries=RETRIES)(run_timed)

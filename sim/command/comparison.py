@@ -88,7 +88,7 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
 
 
 def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
-    """Prints a warning to stderr for every controller whose certificate is invalid or that misses its goals.
+    """Prints a warning to stderr for each controller with an invalid certificate or missed goals.
 
     The command simulates these controllers nevertheless.
     """
@@ -106,7 +106,7 @@ def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
 
 
 def _first(claims: Sequence[str]) -> str:
-    """Returns the text of the first claim and the number of further claims."""
+    """Returns a text with the first claim and the number of further claims."""
     return f"{claims[0]}, and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -173,7 +173,7 @@ def write_histories(
     Args:
         options: options from the command's parser.
         runs: runs to draw and to write.
-        where: description of the road, as it follows "over" in the title of the picture.
+        where: description of the road, which follows the word "over" in the title of the picture.
         measured: measured signals over the time of the runs, which the picture also shows.
     """
     outputs: dict[str, Path | None] = {}
@@ -192,9 +192,10 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
     """Returns the printed lines about recorded files and how to open them; empty if nothing was recorded.
 
     Args:
-        logs: recorded files by type, one mapping for each vehicle. For several vehicles, one line with the folder is returned.
+        logs: recorded files by type, one mapping for each vehicle. For several vehicles, the result is a single line with the
+            folder.
         brief: True to return no lines.
-        runs: recorded runs. For more than `FEW` runs, only the paths are returned, without an empty line and a heading.
+        runs: recorded runs. For more than `FEW` runs, the lines contain only the paths, without an empty line and a heading.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
@@ -254,9 +255,9 @@ def run_named(
 
 
 def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
-    """Returns the printed lines about runs, above the table that compares the controllers.
+    """Returns the lines about runs that are printed above the table of controllers.
 
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
+    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
     reasons why a run fails or diverges.
 
     Args:
@@ -265,7 +266,8 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
     """
     if passive is not None:
         documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
-        documents = [replace(one, blocks=one.blocks[1:]) for one in documents]  # verdicts are the last lines of the command
+        # The verdicts are omitted here, because they are the last lines of the command
+        documents = [replace(one, blocks=one.blocks[1:]) for one in documents]
         return [line for one in documents for line in ["", *text_lines(one, "full")]]
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]

@@ -1,4 +1,4 @@
-"""The part that `sim.bump` and `sim.drive` share: simulate controllers over one road, and compare with linear analysis."""
+"""The common part of `sim.bump` and `sim.drive`: simulates controllers over one road, and compares with linear analysis."""
 
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -41,8 +41,8 @@ class VehicleRuns:
         vehicle: vehicle of the file.
         title: title of the vehicle in printed results; empty if there is only one vehicle.
         names: requested controllers.
-        runs: runs with the whole vehicle file, then the runs in which a part of the vehicle is omitted (`--without`).
-        without: omitted part for each run, such as noise; empty for runs with the whole vehicle file.
+        runs: runs with the whole vehicle, followed by runs in which a part of the vehicle is omitted (`--without`).
+        without: omitted part for each run, such as noise; empty for runs with the whole vehicle.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
         fits: comparison of each run with a measured log; empty without a log.
@@ -59,7 +59,7 @@ class VehicleRuns:
 
     @property
     def implemented_runs(self) -> list[Run]:
-        """The runs with the whole vehicle file, in which no part is omitted."""
+        """The runs with the whole vehicle, in which no part is omitted."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
@@ -285,7 +285,7 @@ def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float 
 
 
 def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end: float) -> list[str]:
-    """Returns the printed lines above the table of controllers: every run in full with `-v`, otherwise only special findings.
+    """Returns the lines printed above the table of controllers: with `-v` all about each run, otherwise only special findings.
 
     Args:
         start, end: first and last time of the ride measurement [s].

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def add_vehicles(parser: Parser) -> None:
-    """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
+    """Adds `--controller`, `--vehicle` (which may be repeated) and `--without`."""
     parser.add_controller_and_vehicle(
         "default: all but published copies, such as I_printed", several="results of all vehicles are in one table"
     )
@@ -80,10 +80,10 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
 
 
 def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
-    """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted.
+    """Returns a line that lists the omitted controllers and explains how to include them; empty if none is omitted.
 
     Args:
-        one: True for a command that takes one controller.
+        one: True for a command that accepts only one controller.
     """
     if one and names:
         return [f"other controllers: {', '.join(names)}; choose one with --controller NAME"]
@@ -215,7 +215,7 @@ def starts_later(options: argparse.Namespace) -> bool:
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:
-    """Returns printed lines about a road from a file that is shorter or longer than the run; empty if their lengths are equal.
+    """Returns printed lines about a road from a file that is shorter or longer than the run; empty if the lengths are equal.
 
     Args:
         road: road of the run.

@@ -22,7 +22,7 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
 STARTING_TIME = 60.0  # s, longest time until the web viewer answers
 FAILING_TIME = 2.0  # s, time after which the viewer counts as started if its process has not ended
-ENDING_TIME = 3.0  # s, longest time until the process ends after a signal; then it is killed
+ENDING_TIME = 3.0  # s, longest time until the process ends after a signal; after this time, the process is killed
 
 
 def check_display() -> None:
@@ -41,7 +41,7 @@ def open_viewer(recording: Path) -> None:
     Raises:
         InputError: no window opens; the message contains the reason that the viewer prints.
     """
-    with tempfile.TemporaryFile() as said:  # a file, because a pipe would close when the command ends
+    with tempfile.TemporaryFile() as said:  # the output goes to a file, because a pipe would close when the command ends
         command = [*_command(), "--bind", LOOPBACK, "--port", "auto", str(recording)]
         try:
             process = subprocess.Popen(
@@ -50,7 +50,7 @@ def open_viewer(recording: Path) -> None:
         except OSError as error:
             raise InputError(f"--open: {command[0]} cannot be started ({error.strerror or error}); install rerun-sdk") from error
         with suppress(subprocess.TimeoutExpired):
-            if process.wait(FAILING_TIME):  # if the user closes the window immediately, the exit code is 0
+            if process.wait(FAILING_TIME):  # an exit code of 0 means that the user closed the window immediately
                 said.seek(0)
                 raise InputError(
                     f"--open: Rerun's window did not open ({_reason(said.read())}); use --serve, and open the printed page. "
@@ -59,7 +59,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """Returns the last line of a program's output, without colour codes, as the reason of its failure."""
+    """Returns the last line of a program's output without colour codes, which states why the program failed."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 
@@ -77,7 +77,7 @@ def serve_viewer(recording: Path) -> None:
     command = [*_command(), "--serve-web", *ports, str(recording)]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM has the same effect as Ctrl-C
-    process = subprocess.Popen(  # in a new session, so that Ctrl-C does not reach the viewer itself
+    process = subprocess.Popen(  # the viewer runs in a new session, so that Ctrl-C does not reach it
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
     try:
@@ -109,7 +109,7 @@ def _command() -> list[str]:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Returns numbers of free ports, so that several commands can serve recordings at the same time."""
+    """Returns the numbers of free ports. Several commands can therefore serve recordings at the same time."""
     sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
     ports = [one.getsockname()[1] for one in sockets]
     for one in sockets:

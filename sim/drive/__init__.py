@@ -1,3 +1,6 @@
-"""Simulation of runs in MuJoCo: cases, drivers, the loop, responses, and the ends of the linear regime. Start with `drive.py`."""
+"""Simulation of runs in MuJoCo: cases, drivers, the simulation loop, responses, and ends of the linear regime.
+
+Start with `drive.py`.
+"""
 
 RUNS_AT_ONCE = 256  # more runs at the same time hardly save time

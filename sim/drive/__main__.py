@@ -1,4 +1,4 @@
-"""The command `python -m sim.drive`: drives controllers over a road, compares with linear analysis, and measures the ride."""
+"""The command `python -m sim.drive`: simulates controllers over a road, compares with linear analysis, and measures the ride."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code.
 
     Raises:
-        InputError: bad options, vehicle file, road or logs folder.
+        InputError: an option, the vehicle file, the road or the folder for logs is invalid.
     """
     options = parser().parse_args(arguments)
     from sim.command.driving import drive

@@ -1,7 +1,7 @@
 """Actuators of N runs: they limit requested forces, set MuJoCo's controls, and record the signals of semi-active dampers.
 
-A controller receives the suspension velocity, linearised at equilibrium. If the body pitches or rolls, the velocity of the
-damper itself differs from it due to geometry.
+A controller receives the suspension velocity, linearised at equilibrium. If the body pitches or rolls, the velocity of the damper
+itself is slightly different, due to geometry.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the suspensions' closing velocities, and of travels and states of voltage-controlled elements.
+    """Returns the names of closing velocities of suspensions, and of travels and states of voltage-controlled elements.
 
     A voltage-controlled element is a force element whose voltage the controller commands. The result is empty without
     semi-active dampers. See `CoefficientRange.closing`.
@@ -33,14 +33,15 @@ def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 class Actuators:
-    """Actuators of N vehicles of one type, whose semi-active dampers are at the same suspensions.
+    """Actuators of N vehicles of one type, all with semi-active dampers at the same suspensions.
 
-    Without semi-active dampers, commands are forces [N], shape (N, m). With semi-active dampers, the shape is (N, 2 m): first
-    the coefficients, relative to the nominal ones [N s/m], or the forces of active actuators [N]; then the missing forces. See
-    `CoefficientRange.commands`. MuJoCo applies the force limit and the lag of active actuators.
+    Without semi-active dampers, commands are forces [N], shape (N, m). With semi-active dampers, commands have the shape (N, 2
+    m). The first m columns are damping coefficients minus the nominal ones [N s/m], or forces of active actuators [N]. The other
+    m columns are the missing forces. See `CoefficientRange.commands`. MuJoCo applies the force limit and the lag of active
+    actuators.
 
     Attributes:
-        forces: number m of forces.
+        forces: number m of forces per run.
         size: number of commands per run.
         closing: map from (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows of active
             actuators, and of the travels and states of voltage-controlled elements, are 0. The shape is (0, nq + nv) without
@@ -133,7 +134,7 @@ class Actuators:
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            # several actuators together give the damper's force
+            # the damper's force is the sum of several actuators
             several = one.damper.pair is not None or one.force in self._ratios.over_travel
             if several and one.damper.replaces:
                 deflection, velocity = parts[one.force]

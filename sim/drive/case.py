@@ -19,10 +19,9 @@ class State:
 
     Attributes:
         motion: positions and velocities of MuJoCo, states of the vehicle's parts, and activations, shape (nq + nv + k + na,).
-        acting_forces: forces that act before the first sample [N], shape (m,).
-        law, undelayed_forces: states of the controller and of the second controller, in their discrete form.
-        pending_forces: delayed forces that have not acted yet, or first act at the first sample, the next one first [N], shape
-            (d, m).
+        acting_forces: forces that already act before the first sample [N], shape (m,).
+        law, undelayed_forces: states of the controller, and of the second controller, both in discrete form.
+        pending_forces: delayed forces that act at the first sample or later, in this order [N], shape (d, m).
     """
 
     motion: Array
@@ -38,12 +37,12 @@ class Case:
 
     Attributes:
         vehicle: the vehicle, with its limits and the implementation of its controller.
-        driver: controller, or commands that are known in advance.
+        driver: controller of the run, or commands that are known in advance.
         road: the road, with the loads on the body if there are any.
-        start: state at the start. None means equilibrium, or the steady motion in which a measured road starts.
-        undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first; None
-            if there is no second controller.
-        earlier: argument of `RoadInput`.
+        start: state at the start of the run. None means equilibrium, or the steady motion in which a measured road starts.
+        undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first
+            controller; None if there is no second controller.
+        earlier: argument of the same name of `RoadInput`.
         input: the road at the sample times, if it is already computed; otherwise None.
     """
 
@@ -74,17 +73,17 @@ class Batch:
         inputs: road input of each case.
         now: road heights at the samples [m], shape (T, N, r).
         midway: road heights at which MuJoCo holds the road during each step [m], shape (T, N, r).
-        beyond: road heights at the samples after the last one [m], shape (E, N, r), as far as controllers preview them.
+        beyond: road heights at the E samples after the end of the run that controllers preview [m], shape (E, N, r).
         velocities: rates of the road heights at the samples [m/s], shape (T, N, r); None if they are not needed.
         held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
             r); None if there are none.
         effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None
             without loads.
         sides: road heights on the other side of vertical edges [m], shape (N, r), by index of the sample.
-        failures: failures of Python control laws, by run. A run with a failed law continues without forces. If it is None, the
-            first failure is raised.
+        failures: failures of Python control laws, by run. A run with a failed law continues without forces. If `failures` is
+            None, the first failure is raised as an error.
         numbers: index of each run among all cases; the keys of `failures`.
-        diverged: time at which each run has diverged so far [s], shape (N,); infinity if it has not.
+        diverged: time at which each run diverged [s], shape (N,); infinity for a run that has not diverged so far.
         law_diverged: True for each run that diverged only because of the states of its law, see `Block.law_diverged`, shape
             (N,).
     """
@@ -172,7 +171,7 @@ def batch_of(
             if isinstance(road.relative_road, Departure):
                 heights[1::2, i] = road.held_heights(halves[1::2])
         now, midway, beyond = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2], heights[2 * len(time) :: 2]
-        # a damping tyre leaves the road at a certain force, which depends on these velocities
+        # the force at which a damping tyre leaves the road depends on these velocities
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):
             velocities = np.stack([road.velocities for road in inputs], axis=1)
     else:

@@ -1,4 +1,4 @@
-"""The controller's computer: it samples the signals with noise and quantisation, calls the driver, and delays its commands."""
+"""The controller's computer: samples the signals with noise and quantisation, calls the driver, and delays the commands."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ class Computer:
         driver: driver of the runs.
         runs: indices of the runs in the batch.
         period: number of time steps per sample.
-        used: states of the driver at the last sample, shape (n, k).
+        used: states of the driver with which the last commands were computed, shape (n, k).
     """
 
     def __init__(
@@ -45,8 +45,8 @@ class Computer:
             vehicles, how: vehicle and implementation of each of the n runs.
             actuators: actuators of all runs of the batch.
             names: names of the signals that `step` receives, without the closing velocities that follow them.
-            heights: road heights of these runs at the time steps, continued beyond the end as far as the driver previews [m],
-                shape (.., n, r).
+            heights: road heights of these runs at the time steps, and beyond the end of the runs as far as the driver previews
+                [m], shape (.., n, r).
             timestep: time step of the runs [s].
             samples: number of time steps of the runs.
         """
@@ -70,7 +70,7 @@ class Computer:
         self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
 
     def resume(self, starts: Mapping[int, tuple[Array, Sequence[Array] | Array]], commands: Array) -> None:
-        """Sets the states and the pending forces of runs at their start, and the commands that act until the first ones arrive.
+        """Sets the states and pending forces at the start of runs, and the commands that act until the first new ones arrive.
 
         Args:
             starts: state of the driver and pending forces of each run that does not start in equilibrium, by index in the
@@ -116,7 +116,7 @@ class Computer:
                 return
             self._waiting[sample % len(self._waiting)] = computed
         if self._changes[phase] and not self._at_once:
-            # before the first command arrives, its place in the ring buffer is 0
+            # before the first command arrives, the ring buffer contains 0
             due = (k - self._late) // self.period % len(self._waiting)
             commands[self.runs] = self._waiting[due, self._each]
 
@@ -141,7 +141,7 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation around a controller, without the parts that the law or its code already contains.
+    """Returns the implementation of a controller, without the effects that the law or its code already contains.
 
     Known commands have no implementation.
     """

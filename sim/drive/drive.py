@@ -1,7 +1,7 @@
-"""Simulation in MuJoCo of one run or of thousands: `drive` steps the cases, and observers receive their samples in blocks.
+"""Simulation of one or thousands of runs in MuJoCo: `drive` steps the cases, and observers receive the samples in blocks.
 
 The result agrees with linear analysis up to the error of RK4, which is proportional to the fourth power of the time step. Four
-measures ensure this:
+measures ensure this accuracy:
 
 - MuJoCo holds the road, a mocap body, over each step. The road is therefore placed at `RoadInput.midway`: its height midway
   through the step or, for a measured road, its mean height over the step.
@@ -26,11 +26,13 @@ from sim.drive.loop import Block, Loop
 from sim.drive.regime import BLOCK
 from sim.drive.sensor_readout import hardware, reads_out
 
-FEWEST = 4  # runs per thread; with fewer runs, numpy between the steps, one thread at a time, takes as long as the steps
+# Smallest number of runs per thread; with fewer runs, the NumPy code between the steps takes as long as the steps, and only one
+# thread at a time can execute it
+FEWEST = 4
 
 
 class Observer(Protocol):
-    """Object that receives the samples of a batch. A function creates it from the `Batch`."""
+    """Object that receives the samples of a batch. Observers are created by functions of the `Batch`."""
 
     def take(self, block: Block) -> None:
         """Receives the next block of samples."""
@@ -64,7 +66,7 @@ def drive(
             the number of threads.
         streamed: True for blocks of `BLOCK` samples, without storing whole roads; False for a single block.
         failures: dictionary that receives the failures of Python control laws, by index of the case. These runs continue
-            without forces. If it is None, the first failure is raised.
+            without forces. If `failures` is None, the first failure is raised as an error.
         stopped: function that returns True to stop the runs; it is called regularly.
 
     Returns:
@@ -112,8 +114,8 @@ def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
 def _shares(count: int, threads: int) -> list[slice]:
     """Splits the runs evenly among threads.
 
-    Each thread has its own batch. This is faster than a single batch on all threads. The threads of a single batch wait for
-    each other, and while Python runs.
+    Each thread has its own batch. This is faster than a single batch on all threads. The threads of a single batch would wait for
+    each other at each step, and for Python code.
     """
     shares = min(threads, count // FEWEST)
     if shares <= 1:

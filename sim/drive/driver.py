@@ -19,7 +19,7 @@ Request = Literal["forces", "coefficients", "commands"]
 
 @runtime_checkable
 class Driver(Protocol):
-    """Control law of N runs that are simulated together. For a single run, N is 1.
+    """Control law of N runs that are simulated together. N is 1 for a single run.
 
     `sim.run` accepts an object with these attributes and methods as a controller. `start` is called before each repetition of a
     run, so a driver with internal data must reset it there.
@@ -63,7 +63,7 @@ class Driver(Protocol):
         ...
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """Returns the states before the first sample, shape (N, k). If a law stores its states itself, k is 0.
+        """Returns the states before the first sample, shape (N, k). If the driver stores its states itself, k is 0.
 
         Args:
             vehicles: the N vehicles, all with the same sample period.
@@ -113,7 +113,7 @@ class Failure:
 
     Attributes:
         why: reason, as one line of text.
-        together: True if one call of the law served several runs, so that another run may have caused the failure.
+        together: True if one call of the law was for several runs, so that another run may have caused the failure.
     """
 
     why: str
@@ -121,7 +121,7 @@ class Failure:
 
 
 def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], timestep: float) -> int:
-    """Returns the largest number of time steps by which a controller previews the road beyond the end of a run."""
+    """Returns the largest number of time steps beyond the end of a run for which a controller needs the road (preview)."""
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
     return max((max(one.preview_samples(steps * timestep) - 1, 0) * steps for one, steps in pairs), default=0)

@@ -1,14 +1,14 @@
-"""Jumps of signals at the samples, due to changes of a held force or of the held coefficient of a semi-active damper.
+"""Jumps of signals at samples where a held force, or the held coefficient of a semi-active damper, changes.
 
 Such a jump is called a decision if it is due to a semi-active damper, or to a force that is held for more than one time step.
 Peaks include the values on both sides of decisions and of vertical edges of the road (`Response.before`), and nothing
-interpolates across them. A force that changes at every time step approximates a continuous force. For its signals, only the
-values just after the jumps count.
+interpolates across them. A force that changes at every time step approximates a continuous force. For signals that jump with such
+a force, only the values just after the jumps are used.
 
-The signal at a sample is its value just after the jump, with the new force. The value just before is smaller by D (u[k] -
-u[k-1]), with D of (28). For a semi-active damper, the coefficient c is held while the velocity v of the suspension changes, so
-u jumps by -(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with travel does not jump, but it
-scales v and the effect of u.
+The value of a signal at a sample is the value just after the jump, with the new force u[k]. The value just before is smaller by D
+(u[k] - u[k-1]), where D is the feedthrough matrix of (28). For a semi-active damper, the coefficient c is held while the velocity
+v of the suspension changes, so u jumps by -(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with
+travel does not jump, but scales v and the effect of u.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Simulation loop of N runs in MuJoCo, in blocks of samples: measurements, commands, steps, and recorded signals."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings have no type stubs.
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 DIVERGENCE_LIMIT = 1e8  # limit for every signal, in SI units; a run that exceeds it has diverged
 
-# largest number of road heights of runs in blocks, with 16 bytes each: 256 quarter-cars for 20 s at 1 ms
+# largest number of stored road heights of a batch (16 bytes each), enough for 256 quarter-cars over 20 s at 1 ms
 MOST_HEIGHTS = 5_200_000
 
 
@@ -58,7 +58,7 @@ class Block:
         measured: signals at the samples of the controllers, before noise and quantisation, followed by the closing velocities,
             shape (B, N, s); NaN at other time steps.
         names: names of the signals in `measured`.
-        others: signals on the other side of vertical edges of the road, shape (S, N), by index of the sample.
+        others: signals on the other side of vertical edges of the road, by index of the sample, shape (S, N) each.
     """
 
     start: int
@@ -84,7 +84,7 @@ class Block:
 
     @property
     def law_diverged(self) -> Array:
-        """True for each run that first diverged in this block only because of the states of its law, shape (N,).
+        """True for each run that diverged in this block, and only because of the states of its law, shape (N,).
 
         The states of the law overflowed while all physical signals were still within `DIVERGENCE_LIMIT`.
         """
@@ -109,7 +109,7 @@ class Block:
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """Returns the largest useful number of runs in a batch of blocks, which memory limits.
+    """Returns the largest useful number of runs in a batch, so that the road heights fit into memory.
 
     Args:
         samples: number of samples per run.
@@ -122,8 +122,8 @@ class Loop:
     """Simulation loop: measure, compute the commands, apply them, move the road, step.
 
     The results of a run are reproducible bit for bit. The results do not depend on the other runs in the batch, the number of
-    threads, or the size of the blocks. This is why no matrix product has an order of summation that depends on the number of
-    runs.
+    threads, or the size of the blocks. For this reason, no matrix product may have an order of summation that depends on the
+    number of runs.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -139,7 +139,7 @@ class Loop:
             if len(one_of) > 1:
                 self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
         # A measurement is taken before a step: from the state if it is linear in the state, otherwise from its sensor. The
-        # contribution of the road is added if it is missing there.
+        # contribution of the road is added if the state or the sensor does not include it.
         readout = self.readout
         controllers = [one for case in batch.cases for one in (case.driver, case.undelayed_controller) if one is not None]
         named = {name for one in controllers for name in one.measured}
@@ -152,7 +152,7 @@ class Loop:
         self.after = 0 if self.fresh else self.stage  # stage to which MuJoCo is evaluated after a step for the next measurement
 
     def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
-        """Returns the started computers of a batch, and those of its second controllers without implementation."""
+        """Returns the started computers of a batch, and the computers of the second controllers, which have no implementation."""
         vehicles, seconds = batch.vehicles, [one.undelayed_controller for one in batch.cases]
         how = [implementation_around(*one) for one in zip(batch.drivers, vehicles, strict=True)]
         first = self._group(batch, batch.drivers, vehicles, how, actuators)
@@ -169,7 +169,7 @@ class Loop:
         how: Sequence[Implementation],
         actuators: Actuators,
     ) -> list[Computer]:
-        """Returns the started computers of runs: one per type of driver and sample period, and none for passive runs."""
+        """Returns the started computers of runs: one for each type of driver and sample period, and none for passive runs."""
         timestep, roads = batch.timestep, np.concatenate([batch.now, batch.beyond]) if len(batch.beyond) else batch.now
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
@@ -216,7 +216,7 @@ class Loop:
         return np.concatenate([signals, closing])[None]
 
     def _unread(self, level: Array, before: Array, actuators: Actuators) -> Array:
-        """Returns the contributions to measured signals and closing velocities that the map lacks, shape (B, N, s + m)."""
+        """Returns the contributions to measured signals and closing velocities that the map omits, shape (B, N, s + m)."""
         unmoved = np.zeros_like(level) if self.fresh else level - before
         signals = beside_reading(level, self.readout, self.seen, True) + beside_reading(unmoved, self.readout, self.seen, False)
         still = np.broadcast_to(actuators.at_rest, (*signals.shape[:2], len(actuators.at_rest)))
@@ -233,7 +233,7 @@ class Loop:
         blocks = self._blocks(batch, edges, stopped)
         with quiet():
             while True:
-                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow, which its block records
+                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; the block records this
                     block = next(blocks, None)
                 if block is None:
                     return
@@ -250,14 +250,14 @@ class Loop:
         felt, of_reading = readout.has_road_feedthrough, self._map(actuators)
         controls, heights, sensors = physics.bind("ctrl"), physics.bind("mocap_pos")[:, :, 2], physics.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
-        # (qpos, qvel), which follow the time in the state
+        # (qpos, qvel), which come after the time in MuJoCo's state
         motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")
         own, sensed_to = states_of_parts(physics), width - readout.of_parts.shape[1]
         measured, held = physics.bind("sensordata")[:, self.sensors], batch.held_inputs
         pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.load_dofs), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road velocities in `held_inputs`
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
-        # Within a step, the accelerations of runs with loads belong to another load.
+        # Within a step, the accelerations of runs with loads are for another load than at the sample.
         late = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) > int(mujoco.mjtStage.mjSTAGE_VEL)
         loaded = np.zeros(count, dtype=bool) if held is None else held[..., :loads].any(axis=(0, 2))
         at_sample = np.ix_(late, loaded)
@@ -356,7 +356,7 @@ class Loop:
 
 
 class _Signals:
-    """Signals at the samples from MuJoCo's sensors, which are evaluated within a step, or before it."""
+    """Signals at the samples, from MuJoCo's sensors, which are evaluated within or before a step."""
 
     def __init__(self, loop: Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
         readout, first = loop.readout, vehicles[0]
@@ -417,7 +417,7 @@ def _is_passive(controller: RunDriver, timestep: float) -> bool:
 
 
 def _acts_without_limit(vehicle: Vehicle) -> list[bool]:
-    """Returns, for every input, whether its requested force acts without a limit."""
+    """Returns True for each input whose requested force acts without a limit."""
     most = vehicle.limits.actuator_force
     return [force not in vehicle.dampers and (most is None or most >= DIVERGENCE_LIMIT) for force in vehicle.linear_model.inputs]
 

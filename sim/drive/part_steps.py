@@ -1,12 +1,12 @@
-"""MuJoCo steps for vehicles with parts for which MuJoCo has no element.
+"""MuJoCo steps for vehicles with force elements that MuJoCo itself cannot simulate.
 
 `Batch` does not run Python callbacks, so this module evaluates each stage of RK4 itself. The parts compute their forces from
-the present deflections and velocities of the suspensions. MuJoCo computes the accelerations with these forces. A motor on the
-tendon of each suspension applies them. The stages are added as in `mj_RungeKutta`. MuJoCo computes all other forces.
+the present deflections and velocities of the suspensions. A motor on the tendon of each suspension applies these forces, and
+MuJoCo computes the accelerations. The stages are combined as in `mj_RungeKutta`. MuJoCo computes all other forces.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings have no type stubs.
 
 import copy
 from collections.abc import Sequence
@@ -25,8 +25,11 @@ from sim.drive.recursion import SHARES, WEIGHTS
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
 STAGE_WEIGHTS = np.reshape(WEIGHTS, (-1, 1, 1))
-UNIT = 1024.0  # N; force for the response of accelerations, which is linear in the force; a large force reduces rounding errors
-NEARBY = 1e-5  # s; time along the present velocities for the change of lever arms; the error is proportional to its square
+# N; force with which the response of the accelerations is computed. The response is linear in the force, and a large force
+# reduces rounding errors.
+UNIT = 1024.0
+# S; time over which the change of lever arms is computed along the present velocities; the error is proportional to its square
+NEARBY = 1e-5
 
 
 class PartBatch(Batch):
@@ -52,7 +55,7 @@ class PartBatch(Batch):
             count: number N of runs.
             models: model of each run; empty if all runs share `model`.
         """
-        super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensor values of the previous one
+        super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensor values of the previous evaluation
         if models:
             self.set_models(models)
         # The later stages of a step are evaluated in a separate batch. The sensors keep their values at the beginning of the
@@ -87,7 +90,7 @@ class PartBatch(Batch):
             super().forward(ids, stage)
 
     def step(self, ids: Any = None, nstep: int = 1, stage: int = 0) -> None:
-        """See `Batch.step`; one step of all runs."""
+        """Advances all runs by one step; see `Batch.step`."""
         begin, x, rates = self._begin, self._x, self._rates
         self._start()
         self._there.batch.state[:] = self.state
@@ -117,7 +120,7 @@ class PartBatch(Batch):
         self._evaluate(self._here, self._begin, 0)
 
     def _evaluate(self, bound: "_Bound", x: "_State", i: int) -> None:
-        """Sets the motors of a batch for its present state x, and computes the rates of stage i."""
+        """Sets the motors of a batch for the present state x, and computes the rates of stage i."""
         d, v = self._lengths(bound, x)
         inputs, z = self._inputs(bound), x.own
         pulls, own = self._pulls(d, v, inputs, z), self._pulls.rates(d, v, inputs, z)
@@ -129,9 +132,10 @@ class PartBatch(Batch):
             rate[:] = now
 
     def _accelerate(self, bound: "_Bound", b: Array) -> None:
-        """Evaluates the accelerations again, with the inertial parts, whose forces p = b l'' depend on the accelerations.
+        """Evaluates the accelerations again, now with the inertial parts.
 
-        Without inertial parts, l'' is a. The forces p of inertial parts change l'' to a + R p, so p = b (a + R p).
+        The force p = b l'' of an inerter depends on the acceleration l'' of its length. Let a be the value of l'' without
+        inertial parts. The forces p change l'' to a + R p, so p = b (a + R p).
         """
         controls, qacc = bound.controls, np.array(bound.qacc)
         J, turning = self._lengths.jacobian(bound)
@@ -151,7 +155,7 @@ class PartBatch(Batch):
 
 
 def _span(indices: Sequence[int]) -> slice | Array:
-    """Returns consecutive indices as a slice, which numpy reads and writes faster."""
+    """Returns consecutive indices as a slice, because NumPy reads and writes slices faster."""
     first, count = indices[0], len(indices)
     return slice(first, first + count) if list(indices) == [*range(first, first + count)] else np.array(indices)
 
@@ -173,7 +177,7 @@ class _State:
 
 
 class _Bound:
-    """Views of a batch's state, controls and computed quantities."""
+    """Array views of a batch's state, controls and computed quantities."""
 
     def __init__(self, batch: Batch) -> None:
         model = batch.model
@@ -218,7 +222,7 @@ class _Inputs:
 
 
 class _Lengths:
-    """Lengths of s tendons, relative to those in equilibrium.
+    """Lengths of s tendons, relative to the lengths in equilibrium.
 
     Attributes:
         linear: True if the lengths are linear in the positions.
@@ -251,7 +255,7 @@ class _Lengths:
     def jacobian(self, bound: _Bound) -> tuple[Array, Array]:
         """Returns the Jacobian J of the lengths, shape (N, s, nv) or (1, s, nv), and J' qvel [m/s2], shape (N, s).
 
-        J belongs to the last evaluation of the batch, in its present state. The time derivative J' is a central difference.
+        J is for the state in which the batch was last evaluated. The time derivative J' is a central difference.
         """
         if self.linear:
             return self._constant, np.zeros((len(bound.qacc), len(self._tendons)))

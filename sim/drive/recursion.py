@@ -6,7 +6,7 @@ import numpy as np
 
 from models.common.arrays import Array, recursion
 
-SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
+SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's four stages, as shares of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights of the rates at these stages
 
 
@@ -15,7 +15,7 @@ def lag_commands(commands: Array, z: Array) -> Array:
 
     Args:
         commands: commands that are held from each sample to the next, shape (T, m).
-        z: bandwidth of every lag times the time step, shape (m,). If it is 0, there is no lag.
+        z: bandwidth of each lag times the time step, shape (m,); 0 for no lag.
     """
     way = way_in_step(z)
     return np.where(z > 0, recursion(np.diag(1 - way), way * commands), commands)
@@ -37,7 +37,7 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
 
 
 def way_in_step(z: Any) -> Any:
-    """Returns the share of the distance to its command that a lag covers in an RK4 step.
+    """Returns the share of the distance to the command that a lagging value covers in one RK4 step.
 
     Args:
         z: bandwidth of the lag times the time step, any shape.

@@ -1,4 +1,4 @@
-"""Ends of the linear regime with their times: lift-off, or a limit of a suspension, actuator, damper or characteristic."""
+"""Ends of the linear regime and their times: lift-off, or a limit of a suspension, actuator, damper or characteristic."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,12 +19,13 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
-AT = 1 - 1e-12  # share of a threshold that counts as reached, because a force at its limit equals the limit only up to rounding
-# Jump of a hub [m] that shows that the road has passed it within a step. Even the stiffest tyre, compressed nearly flat, moves
-# a hub by only 1 mm within 1 ms. After the road has passed the hub, the measurement jumps by at least 0.1 m, because hubs are
-# at least 0.3 m above their road.
+# Share of a threshold at which it counts as reached, because a force at its limit equals the limit only up to rounding
+AT = 1 - 1e-12
+# If a hub jumps by at least this distance [m], the road has passed through it within a step. Even the stiffest tyre, compressed
+# nearly flat, moves a hub by only 1 mm within 1 ms. After the road has passed the hub, the measurement jumps by at least 0.1 m,
+# because hubs are at least 0.3 m above their road.
 JUMP = 0.02
-# share of a rate limit that counts as reached, because a command behind a lag is computed from rounded forces
+# share of a rate limit at which it counts as reached, because the command before a lag is computed from rounded forces
 RATE_REACHED = 1 - 1e-7
 MISSING_FORCE = 1e-3  # N; a smaller missing force of a semi-active damper is a rounding error
 BLOCK = 200  # samples per block of many runs, so that a block fits into the cache
@@ -38,7 +39,7 @@ class Threshold:
         signal: name of the signal.
         sign: sign of the side with the limit; 0 for both.
         value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
-        tyre: hub and road velocities that also count for a damping tyre; None if only the deflection counts.
+        tyre: hub and road velocities that also determine the force of a damping tyre; None if only the deflection matters.
         part: part whose force beyond its linearisation is limited [N]; None if the signal is limited.
         of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
     """
@@ -51,7 +52,7 @@ class Threshold:
     of_rate: bool = False
 
     def of(self, response: Response) -> Array:
-        """Returns the limited quantity: a signal, a tyre's equivalent deflection, or a force beyond the linearisation."""
+        """Returns the limited quantity: a signal, the equivalent deflection of a tyre, or a force minus its linearisation."""
         return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
@@ -85,10 +86,10 @@ class End:
     Attributes:
         name: name in tables, maps and JSON output.
         event: name of the event at its first time in a log; empty if it is not logged.
-        verdict: sentence about it in a verdict, with `when` [s]; empty if the verdict reports it in another way.
+        verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports it in another way.
         color: colour in a map, on a light background.
-        marker: shape and colour of its marker on plots with a dark background. Rerun defines the names of the shapes. No curve
-            has this colour.
+        marker: shape and colour of the marker on plots with a dark background. The names of the shapes are those of Rerun. No
+            line has this colour.
         thresholds: function that returns the thresholds of a vehicle; an empty list if the vehicle has no such limit.
         exact: True if the exact response is valid beyond this end, where only linearity ends.
     """
@@ -108,7 +109,7 @@ def _flat(vehicle: Vehicle) -> list[Threshold]:
 
 
 def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
-    """Returns the thresholds at which tyres lose contact: their deflections, or equivalent ones, reach the static ones."""
+    """Returns the thresholds at which tyres lose contact, because their (equivalent) deflections reach the static deflections."""
     damped = vehicle.kind.damped_tyres(vehicle.parameters)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     return [Threshold(name, 1.0, value, damped.get(name)) for name, value in static.items()]
@@ -117,7 +118,7 @@ def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
 def _either_way(
     names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None], of_rate: bool = False
 ) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that returns thresholds for the magnitude of signals of a vehicle if it has this limit."""
+    """Returns a function from a vehicle to the thresholds for magnitudes of signals, if the vehicle has this limit."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
@@ -127,7 +128,7 @@ def _either_way(
 
 
 def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that returns the thresholds at which the parts of a vehicle reach a given end."""
+    """Returns a function from a vehicle to the thresholds at which its parts reach a given end."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         found = []
@@ -144,7 +145,7 @@ def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
 def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     """Returns the largest deviation of characteristics from their linearisations, by parameter.
 
-    A deviation is relative to the largest force of the characteristic. The largest value of all wheels counts.
+    A deviation is relative to the largest force of the characteristic. The largest value over all wheels is used.
     """
     shares: dict[str, float] = {}
     for fitted in vehicle.parts.with_curve:
@@ -188,7 +189,7 @@ RATE_LIMIT = End(
     ("Plus", (255, 140, 60)),
     _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.force_rate, of_rate=True),
 )
-FLAT = End(  # beyond this end, no model of the vehicle is valid
+FLAT = End(  # after this event, no model of the vehicle is valid
     "flat tyre",
     "",
     "",
@@ -226,7 +227,7 @@ LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law 
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
-    """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E): 1 at the limit, 0 without a limit.
+    """Returns the largest value of a response relative to each limit of `REGIME_ENDS`, shape (..., E); 0 without a limit.
 
     Args:
         anti_windup: True if clipped demands on the actuators end the linear regime, see `EndDetector`.
@@ -253,9 +254,9 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
     """Returns the share of the distance to its command that a force covers in a step, and the sample period [s].
 
-    The share is exact for a predicted response, and otherwise that of RK4.
+    For a predicted response, the share is exact. For a simulated response, it is the share in a step of RK4.
 
-    The share is 0 without a lag. A time step of 0 stands for a single sample.
+    The share is 0 if there is no lag. `timestep` is 0 if the response has a single sample.
     """
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     way = float(-np.expm1(-z)) if predicted else way_in_step(z)
@@ -289,7 +290,7 @@ class EndDetector:
     A damping tyre loses contact when its total force becomes zero, which its equivalent deflection shows
     (`models/kinds/strut_and_tyre.py`).
 
-    Anti-windup acts from the first sample at which the demand on an actuator is clipped, and so does a limit of commands. With
+    Anti-windup and limits of commands act from the first sample at which the demand on an actuator is clipped. With
     a lag, this happens before the force reaches its limit. The demand is computed from the forces at both ends of a step, and
     its clipping counts as saturation. The rates of commands, which a rate limit limits, are computed in the same way.
 
@@ -316,7 +317,7 @@ class EndDetector:
         demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
         self.way = np.where(
             demanded, self.lags[0], 0.0
-        )  # without such a limit, clipped demands have no effect before a force reaches its limit
+        )  # if there is no such limit, clipped demands have no effect before a force reaches its limit
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
         self.before = dict[int, Array]()  # forces at the last two samples, by index of the signal [N], shape (N, 2)
         self.forces: dict[int, Array] = {}  # forces at the last sample, by index of the signal [N], shape (1, N)
@@ -324,8 +325,8 @@ class EndDetector:
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {self.places[tyre]: self.places[road] for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # hub heights at the last two samples, by index of the tyre's signal [m], shape (2, N)
-        # Each entry: index of the end, threshold of the first run, index of its signal, limit in every run, function that
-        # computes the limited quantity.
+        # Each entry contains the index of the end, the threshold of the first run, the index of its signal, the limit in every
+        # run, and a function that computes the limited quantity.
         once = {id(vehicle): vehicle for vehicle in vehicles}  # most runs share one vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
@@ -367,7 +368,7 @@ class EndDetector:
             self._note(end, start, towards >= limit)
             if REGIME_ENDS[end] is SATURATION and threshold.signal in self.pushing and self.way.any():
                 demands = self._demands(signal, values)
-                # The first demand of a later block belongs to the last sample of the previous block.
+                # In later blocks, the first demand is for the last sample of the previous block.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
@@ -375,7 +376,7 @@ class EndDetector:
         before = self.before.get(signal, np.zeros((values.shape[2], 2)))
         forces = np.concatenate([before, values[:, signal].T], axis=1)
         self.before[signal] = forces[:, -2:]
-        # The first rate belongs to the last sample before the block; it is 0 at the start.
+        # The first rate is for the last sample before the block; at the start of the run, it is 0.
         rates = np.abs(command_rates(forces, *self.lags)).T
         self._note(end, start - 1, rates >= RATE_REACHED * limit)
 
@@ -423,7 +424,7 @@ def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -
 
 
 def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> Array:
-    """Returns the time at which a linear response, times each of N factors, reaches each of `REGIME_ENDS` [s], shape (N, E).
+    """Returns the time at which a linear response times each of N factors reaches each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
         factors: factors for the road height, negative for a hole; shape (N,).
@@ -441,7 +442,7 @@ def first_end(times: Array) -> Array:
     Args:
         times: times of the ends from `end_times` [s], shape (..., E).
 
-    If two ends occur at the same sample, the first in the order of `REGIME_ENDS` counts.
+    If two ends occur at the same sample, the one that comes first in `REGIME_ENDS` is returned.
     """
     return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
 

@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-SAME_VALUE = 1e-9  # relative to a signal's peak; a smaller difference is rounding
+SAME_VALUE = 1e-9  # relative to a signal's peak; a smaller difference counts as rounding
 SILENT = 1e-3  # smallest scale of a signal, relative to the largest signal with the same unit
-# relative to displacements or their rates; smaller angles, multiplied by 1 m, are due to rounding in a symmetrical vehicle
+# relative to displacements or their rates; if angles times 1 m are smaller, they are rounding errors of a symmetrical vehicle
 STILL = 1e-6
-# unit of an angle, or of its rates, and the unit of the resulting motion at a distance
+# units of an angle and its rates, and units of the motion that they cause at a distance
 ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}
 
 
 def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> Array:
-    """Returns, for each signal, the largest size among the signals with its unit, shape (..., p).
+    """Returns for each signal the largest size of all signals with the same unit, shape (..., p).
 
     Symmetry may keep all angles at zero, for example the roll of a half-car in the roll plane over a bump under both tracks.
-    The size for angles is then that of displacements, which corresponds to a distance of 1 m.
+    For angles, the size of displacements is then used, which corresponds to a distance of 1 m.
 
     Args:
         sizes: size of each of p signals, shape (..., p).
@@ -55,8 +55,8 @@ class Response(ShownResult):
         time: sample times [s], shape (T,).
         signals: the S signals in the last axis of `values`, each with its unit.
         values: values of the signals, shape (..., T, S). Leading axes are runs.
-        before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name
-            of the signals that jump, shape (..., T).
+        before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name of
+            the signal, shape (..., T) each. Only signals that jump are included.
 
     Raises:
         InputError: the shapes do not fit one another.
@@ -114,7 +114,7 @@ class Response(ShownResult):
     def with_signals(self, signals: tuple[Signal, ...], values: Array) -> "Response":
         """Returns the response with additional signals, values of shape (..., T, k).
 
-        Without additional signals, returns itself.
+        If there are no additional signals, the response itself is returned.
         """
         if not signals:
             return self
@@ -158,7 +158,7 @@ class Response(ShownResult):
 
     @property
     def law_diverged(self) -> bool:
-        """True if a single simulated run ended because the states of its law diverged; see `Recording.response`."""
+        """True if this is a single simulated run that ended because the states of its law diverged; see `Recording.response`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Any:
@@ -244,12 +244,12 @@ def difference(physics: Response, sampled: Response) -> Response:
         sampled: exact sampled response, at the same times as the simulated one.
 
     Returns:
-        The vehicle's signals by their names, without the road signals, which are inputs of both responses.
+        The vehicle's signals by name, without the road signals, which are inputs of both responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []
     for signal in outputs:
-        scale = sampled.scale(signal.name) or 1.0  # 1 for a vehicle that nothing moves
+        scale = sampled.scale(signal.name) or 1.0  # 1 if nothing moves the vehicle
         apart = (physics[signal.name] - sampled[signal.name]) / scale
         # a single bit pattern for NaN, because logs are compared byte by byte
         columns.append(np.where(np.isnan(apart), np.nan, apart))

@@ -15,9 +15,9 @@ from models.vehicle.mjcf import build_model, damped_tyres, mocap_indices, pushed
 from models.vehicle.vehicle import Vehicle
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings have no type stubs.
 
-CLOSEST = 1e-13  # m, rad and their rates; accuracy with which a run starts in its given state
+CLOSEST = 1e-13  # m, rad and their rates: accuracy of the given state at the start of a run
 MOST_TRIALS = 60  # largest number of iterations of the search for this state
 
 
@@ -30,7 +30,7 @@ def hardware(vehicle: Vehicle) -> tuple[object, ...]:
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped together: same geometry and same number of elements."""
     model, readout = prepared_readout(vehicle, timestep)
-    # A model without a stop, an anti-roll bar or a ramp cannot represent a vehicle that has one.
+    # A model without a bump stop, an anti-roll bar or a characteristic cannot represent a vehicle that has one.
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
@@ -55,16 +55,15 @@ class Readout:
         of_state: map from (qpos, qvel) to linear signals, shape (S, nq + nv).
         of_sensors: map from `sensordata` to signals, shape (S, nsensordata).
         of_parts: map from the states of parts to signals, shape (S, k).
-        of_road: derivative of the signals with respect to the road heights, shape (S, r). Signals are linear in the road
-            heights.
+        of_road: derivatives of the signals with respect to the road heights, in which signals are linear, shape (S, r).
         rest: values of `of_sensors` in equilibrium, shape (S,).
-        has_road_feedthrough: True if an acceleration depends directly on the road. The value within the step, with the road
-            midway, is then not sufficient.
+        has_road_feedthrough: True if an acceleration depends directly on the road. The value that MuJoCo computes within the
+            step, for the road at mid-step, is then not sufficient.
         mocap: mocap index of each wheel's road.
         stretching_rates: map from qvel to the extension rate of each input's actuator in equilibrium, shape (m, nv).
         lagging: index of each input's activation in the model, shape (m,); -1 if it has no activation.
         load_dofs: degree of freedom on which each load acts.
-        damped_tyres: wheels with damping tyres, and the actuator of each.
+        damped_tyres: wheels with damping tyres, each with its actuator.
     """
 
     names: tuple[str, ...]
@@ -85,7 +84,7 @@ class Readout:
 
 @functools.lru_cache(maxsize=16)
 def prepared_readout(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
-    """Returns the model and the readout of a vehicle, cached because a search runs one vehicle hundreds of times.
+    """Returns the model and the readout of a vehicle. They are cached, because a search simulates one vehicle hundreds of times.
 
     `Batch` copies the model.
     """
@@ -149,11 +148,11 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         mujoco.mj_forward(model, data)
         return of_sensors @ data.sensordata
 
-    # In every model here, qpos = 0 is the static equilibrium.
+    # In all models of this project, qpos = 0 is the static equilibrium.
     still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
-    # in SI units; rounded, because the rounding error of an acceleration would depend on the masses
+    # SI units; values are rounded, because the rounding errors of accelerations would depend on the masses
     rest = np.round(read(still, flat), 12)
-    small = 0.1  # metres and radians; a tyre's length is linear only while its road stays below the hub
+    small = 0.1  # metres and radians; small, because a tyre's length is linear only while the road stays below the hub
     of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
     of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 

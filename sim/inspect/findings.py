@@ -12,11 +12,13 @@ from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # allowed relative difference of a derived number between machines and versions of NumPy
-# Keys that older logs may lack. Only vehicles with nonlinear springs or dampers have the last two.
+# Keys that may be missing in older logs. The last two exist only for vehicles with nonlinear springs or dampers.
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
-OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}  # keys of older logs, or of laws that a replay does not run
-DIFFERENCES = {"half_step", "code_difference"}  # differences of two runs relative to a peak, with the absolute tolerance `SAME`
-LESS = {"residual", "allowed"}  # parts of an energy balance, which older versions computed with larger rounding errors
+# Keys that exist only in older logs, or only for laws that a replay does not run
+OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}
+# Differences between two runs relative to a peak; `SAME` is their absolute tolerance
+DIFFERENCES = {"half_step", "code_difference"}
+LESS = {"residual", "allowed"}  # parts of an energy balance that older versions computed with larger rounding errors
 HUGE = 1e150  # a linear response above this value is unstable, and its square overflows
 
 
@@ -26,7 +28,7 @@ class Finding:
 
     Attributes:
         part: subject of the claim, such as "certificate".
-        verdict: `HOLDS`, `FAILS`, `MISSING` (the log does not contain the proof) or `NOTE` (there is nothing to prove).
+        verdict: `HOLDS`, `FAILS`, `MISSING` (the log does not contain the proof), or `NOTE` (there is nothing to prove).
         text: printed text of the result.
     """
 
@@ -67,7 +69,10 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def different(said: Any, now: Any) -> Iterator[str]:
-    """Yields the paths at which a JSON value differs from the recomputed value. Numbers may differ by `SAME`, relatively."""
+    """Yields the paths at which a JSON value differs from the recomputed value.
+
+    Numbers may have a relative difference of up to `SAME`.
+    """
     there, here = dict(leaves(said)), dict(leaves(now))
     for path, value in here.items():
         keys = {*path.split(".")}

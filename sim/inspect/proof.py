@@ -1,4 +1,4 @@
-"""Check of a log: its runs are repeated, and responses, certificates and claims are compared with those in the log."""
+"""Check of a log: repeats the runs, and compares responses, certificates and claims with those in the log."""
 
 import json
 import math
@@ -41,10 +41,11 @@ from synth.controller.report import (
     notes_on_sampled_loop,
 )
 
-PREDICTED_KEY = "rounding"  # key of exported code in results of earlier versions, ignored; today the rounding is measured
+# Key about exported code that earlier versions wrote; it is ignored, because the rounding is now measured
+PREDICTED_KEY = "rounding"
 REPLAY_TOLERANCE = 1e-7  # allowed difference between MuJoCo runs on two machines, relative to the peak of a signal
 OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `_check_certificate` checks
-WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # errors that invalid numbers or keys of a run cause
+WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # errors that are raised if numbers or keys of a run are invalid
 GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with python -m synth"
 EARLIER = "an earlier version with other numbers for semi-active laws wrote the log; inspect the log with that version"
 NOT_RUN = "the attached law was not executed; the logged forces were applied"
@@ -83,7 +84,7 @@ class Proof:
 
     @property
     def broken(self) -> list[str]:
-        """Parts of the log with a claim that fails or is not proved, such as "certificate of I"."""
+        """Parts of the log that contain a failed or unproved claim, such as "certificate of I"."""
         wrong = [f"the {one.part}" for one in self.findings if not one.proved]
         wrong += [f"{one.part} of {run.recorded_run.name}" for run in self.runs for one in run.findings if not one.proved]
         return list(dict.fromkeys(wrong))
@@ -253,7 +254,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         measured, logged = record(run, measure_run(run, *samples)), mine[0].get("metrics", {})
         now |= measured | {
             "metrics": {name: one for name, one in measured["metrics"].items() if name in logged}
-        }  # without metrics that are newer than the log
+        }  # metrics that did not exist when the log was written are omitted
         now |= {"iri": roughness(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     if MEASURED_TOPIC in recorded.responses:
@@ -277,7 +278,7 @@ def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds
         said: logged values.
         now: recomputed values.
         what: plural noun for further differences, for the text.
-        holds: texts of the findings if there is no difference.
+        holds: texts of the findings that are returned if there is no difference.
 
     Yields:
         A finding about the first difference, with the number of further differences; otherwise a finding for each of `holds`.

@@ -1,7 +1,7 @@
 """Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
-No controller is designed, and no solver is needed. The log contains the law, from which the linear response follows, and the
-proof of the certificate. A law in Python is not executed. MuJoCo applies the forces that the log contains instead.
+No controller is designed, and no solver is needed. The log contains the proof of the certificate and the law, from which the
+linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
 """
 
 import json
@@ -34,7 +34,8 @@ from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem
 
-MOST_STATES = 1000  # largest number of states of a loop, with all delayed forces, whose eigenvalues are computed; takes seconds
+# Largest number of states, including delayed forces, of a loop for which eigenvalues are computed; this takes seconds
+MOST_STATES = 1000
 LAW = ("gain", *MATRICES, "sample_period")  # claims that define the law
 
 
@@ -74,7 +75,7 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyCont
     """Returns the controller of a run.
 
     The controller is that of the vehicle file. The log contains the proof, and the law if it was designed. The text of a law in
-    Python is attached to the log. If exported code ran, the code is compiled again.
+    Python is attached to the log. If the run used exported code, the code is compiled again.
 
     Raises:
         InputError: the vehicle file does not contain the controller, or the proof or the code is invalid.
@@ -94,7 +95,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     entry = vehicle.controllers.get(name)
 
     def linear(name: str) -> Controller:
-        """Returns a linear controller. Its law is that of the vehicle file or, if it was designed, that of the log."""
+        """Returns a linear controller. The law is taken from the vehicle file or, if it was designed, from the log."""
         request = DesignRequest() if entry is None else entry.request
         signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
         given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
@@ -113,7 +114,9 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
 
 
 def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyController) -> tuple[Run, Response]:
-    """Repeats a run: predicts it by linear analysis, and simulates it in MuJoCo. For a law in Python, the logged forces act.
+    """Repeats a run: predicts it by linear analysis, and simulates it in MuJoCo.
+
+    For a law in Python, the logged forces are applied.
 
     Args:
         log: the log.

@@ -39,7 +39,7 @@ RECORD = Record[Proof](
 
 
 def describe(proof: Proof) -> Document:
-    """Returns the document to print: the log, findings about the log and each run, and whether the log proves its claims."""
+    """Returns the printed document: the log, the findings about log and runs, and whether the log proves its claims."""
     log, vehicle = proof.log, proof.vehicle
     about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]
     versions = ", ".join(f"{name} {version}" for name, version in log.versions.items())
@@ -66,7 +66,7 @@ def _describe_run(one: InspectedRun) -> Document:
 
 
 def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
-    """Returns findings as statements: one list of the parts that hold, then the other findings.
+    """Returns findings as statements: first a list of the parts that hold, then the other findings.
 
     `-v` also prints each finding that holds.
     """

@@ -1,1 +1,4 @@
-"""Exact linear responses of the simulated loops in the time and frequency domain, without MuJoCo. Start with `prediction.py`."""
+"""Exact linear responses of the simulated loops in time and frequency domain, computed without MuJoCo.
+
+Start with `prediction.py`.
+"""

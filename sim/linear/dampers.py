@@ -1,4 +1,4 @@
-"""Signals and commands of semi-active dampers, from a linear response and from a simulated run."""
+"""Signals and commands of semi-active dampers, computed from a linear response or from a simulated run."""
 
 import numpy as np
 
@@ -33,9 +33,9 @@ def stretching_rates(vehicle: Vehicle) -> Array:
 
 
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the closing velocity of every damper at the samples [m/s], shape (T, m + c). The value is 1 for active actuators.
+    """Returns the closing velocity of each damper at the samples [m/s], shape (T, m + c); 1 for active actuators.
 
-    Travels and states of voltage-controlled elements follow, see `CoefficientRange.closing`.
+    The last c columns are travels and states of voltage-controlled elements, see `CoefficientRange.closing`.
     """
     of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
@@ -59,7 +59,7 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
 
 
 def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, Array]:
-    """Returns the damper signals of a linear response in which all requested forces act.
+    """Returns the damper signals for a linear response in which all requested forces act.
 
     The coefficients in the result would produce these forces. The missing forces in the result are the part that a real damper,
     with its limited range, would not supply.
@@ -79,8 +79,8 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the commands of the actuators in a simulated run, shape (T, 2 m); 0 after the run diverged.
 
-    See `CoefficientRange.commands`. In each step, RK4 moves a lagging coefficient by a known share of the distance to its
-    command, which gives the command.
+    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from its change in a step, because RK4
+    covers a known share of the distance to the command.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)
@@ -97,7 +97,10 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
 
 
 def squarable(forces: Array) -> Array:
-    """Returns requested forces [N], clipped so that their squares are finite. The forces of unstable laws may be too large."""
+    """Returns requested forces [N], clipped so that their squares are finite.
+
+    The forces of unstable laws may be too large to be squared.
+    """
     return np.clip(forces, -MOST_SQUARED, MOST_SQUARED)
 
 

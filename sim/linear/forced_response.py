@@ -1,7 +1,7 @@
-"""Exact linear response to known forces, for controllers without linear analysis.
+"""Exact linear response to known forces, for controllers to which linear analysis does not apply.
 
-With nonlinear characteristics, the response is that of RK4. The equations are those of `sim.linear.sampled_response`. The forces
-u[k], which are held from one sample to the next, are given, and no loop is closed:
+With nonlinear characteristics, the response is computed by RK4. The equations are those of `sim.linear.sampled_response`. The
+forces u[k] are known and held from one sample to the next, and no loop is closed:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k).
 """
@@ -28,7 +28,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         forces: requested forces at every sample [N], shape (T, m).
         road: road, with its vehicle.
         exponential: function for the matrix exponential. `taylor4` predicts RK4 up to rounding. With characteristics, the
-            response is always that of RK4.
+            response is always computed by RK4.
     """
     vehicle, h, model = road.vehicle, road.timestep, road.vehicle.linear_model
     if vehicle.parts.nonlinear:
@@ -51,7 +51,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
-    """Returns the response to held forces and to the continuous road, from equilibrium. Arguments as for `forced_response`."""
+    """Returns the response to held forces and a continuous road, from equilibrium. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
     Phi, Gamma = plant.part((), model.inputs).hold_matrices(road.timestep)
     start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))

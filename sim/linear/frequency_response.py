@@ -3,13 +3,14 @@
 A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z. All responses are relative to W. In continuous
 time, Z and W act on the loop of `synth/controller/loop_of.py`.
 
-In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step it is held at its midpoint, which is exp(j
-omega h/2) times as large. If tyres damp, its mean velocity over the step is held, too. The force is held. The response to a
-sampled sinusoid is then an exact sinusoid. If the sample period of the controller is several steps, other frequencies appear.
-The response is then its component at omega, over all steps of a period.
+In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step, the road is held at the height at mid-step,
+which is exp(j omega h/2) times as large. If tyres have damping, the mean road velocity over the step is also held. The control
+force is held, too. The response to a sampled sinusoid is then an exact sinusoid. If the sample period of the controller is
+several steps, other frequencies appear. The frequency response then contains only the component at omega, computed over all steps
+of a period.
 
-Preview adds to the requested forces a sum over the coming samples, at intervals T, of the weights times exp(j omega i T). In
-continuous time, it adds the integral of F(s) exp(j omega s).
+Preview adds to the requested forces the sum of the weights times exp(j omega i T) over the coming samples i, at intervals T. In
+continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s.
 
 A suspension force F exp(j omega t) may act in addition. Like the road, this force is held over each step at its midpoint. No
 state jumps with this force. The responses to this force, per newton, are appended to the responses to the road.
@@ -29,7 +30,7 @@ from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, road_inputs, with_ending
 from synth.plant.loop import Loop, frequency_response, stepwise_response
 
-# start of the grid of the peak search [rad/s], which ends at the Nyquist frequency, and its number of points
+# first frequency [rad/s] and number of points of the peak search, whose grid ends at the Nyquist frequency
 LOWEST, GRID = 1e-2, 3000
 PULL = "pull_"  # prefix of the name of a suspension force among the inputs
 
@@ -63,8 +64,8 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: time step h [s].
         exponential: function for the matrix exponential; `taylor4` predicts RK4.
-        pulls: e deflections along which additional forces act. If given, their responses per newton are appended: shape (F, p,
-            r + e).
+        pulls: e deflections along which additional forces act. If given, the responses to these forces per newton are appended:
+            shape (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -132,7 +133,7 @@ def driven_loop(
 
 @dataclass(frozen=True)
 class WorstSinusoid:
-    """Sinusoidal road with the largest L2 gain from the road to the weighted output z.
+    """The sinusoidal road with the largest L2 gain from the road to the weighted output z.
 
     The gain is relative to the road height or, if the road has a filter, to the filter's input w.
 
@@ -176,8 +177,8 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     def gain(omega: Array) -> Array:
         return sinusoid_gains(vehicle, response(omega), omega, speed)
 
-    # Lightly damped poles cause narrow peaks. Those of a vehicle are wider than the grid's spacing of 0.4 %, and each peak is
-    # refined.
+    # Lightly damped poles cause narrow peaks. The peaks of a vehicle are wider than the grid's spacing of 0.4 %, and the search
+    # refines each peak.
     omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
     gains = gain(omega)
     best = WorstSinusoid(float(gains.max()), float(omega[gains.argmax()]))

@@ -1,4 +1,4 @@
-"""Equations of motion of a vehicle that is linear except for the forces of its suspensions."""
+"""Equations of motion of a vehicle that is linear except for its suspension forces."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -35,7 +35,7 @@ def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts:
         (p, s).
 
     Raises:
-        ValueError: the effect of a force along a suspension is unknown.
+        ValueError: the model does not define the effect of a force along a suspension.
     """
     parts = vehicle.kind.suspensions
     count = len(parts)
@@ -75,7 +75,7 @@ class LinearMotion:
         self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, self.model, effects, acts)
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """Returns the state that does not jump with the road. See `Motion`."""
+        """Returns the form of the state that does not jump if the road jumps. See `Motion`."""
         return np.stack([signals[name] for name in self.names], axis=-1) - heights @ self._jump
 
     def usable(self, state: Array) -> Array:

@@ -1,8 +1,8 @@
 """Nonlinear elements of a vehicle (characteristics and semi-active dampers), and the vehicle linearised at equilibrium.
 
 In the linearised vehicle, ideal force actuators replace semi-active dampers. A characteristic that is straight near equilibrium
-remains, because over a sufficiently small road it is linear. A straight line replaces a characteristic that bends at
-equilibrium due to a kink or friction, because no road is small enough for such a characteristic.
+is kept, because it is linear on a sufficiently low road. A characteristic that bends at equilibrium, due to a kink or friction,
+is replaced by a straight line, because it is not linear on any road, however low.
 """
 
 from models.vehicle.vehicle import Vehicle
@@ -14,12 +14,12 @@ def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def at_rest(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle that is linear over sufficiently small roads."""
+    """Returns the vehicle that is linear on sufficiently low roads."""
     return vehicle.with_ideal_actuators.linearised if bent_at_rest(vehicle) else vehicle.with_ideal_actuators
 
 
 def at_rest_words(vehicle: Vehicle) -> str:
-    """Describes the elements that the linearised vehicle replaces, as text; empty if there are none."""
+    """Returns a text about the elements that are replaced in the linearised vehicle; empty if there are none."""
     bent, phrases = bent_at_rest(vehicle), []
     if vehicle.dampers:
         phrases.append("force actuators instead of the semi-active dampers, so that every requested force acts")

@@ -1,4 +1,4 @@
-"""Signals of a vehicle from the states and inputs of its model over time, and forces from the preview of the road."""
+"""Computes signals of a vehicle from the states and inputs of its model over time, and preview forces from the road ahead."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -61,12 +61,12 @@ def response_by_name(
 
 
 def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:
-    """Returns a linear response with the values on the other side of vertical edges of the road.
+    """Returns a linear response to which the values on the other side of each vertical edge of the road are added.
 
     Args:
         response: response of a single run over the road.
         of_heights: jump of every output per jump of the road height under every wheel, shape (p, r).
-        held: argument of `RoadInput.vertical_edges`.
+        held: argument of the same name of `RoadInput.vertical_edges`.
     """
     if not road.road.jumps:
         return response
@@ -80,7 +80,7 @@ def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, he
 
 
 def forces_ahead(preview: "RoadPreview", road: RoadInput, steps: int) -> Array:
-    """Returns the forces of a computer for the road ahead [N], shape (T, m), held for `steps` time steps each."""
+    """Returns the preview forces of a computer [N], shape (T, m), each held for `steps` time steps."""
     h = road.timestep
     heights = np.concatenate([road.heights, road.ahead((preview.samples(steps * h) - 1) * steps)])
     return preview.forces(heights, steps, h, len(road.time))

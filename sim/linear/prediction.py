@@ -1,7 +1,7 @@
-"""Linear responses for one vehicle, controller and road, with which a MuJoCo run is compared.
+"""Linear responses of one vehicle, controller and road, to compare with a MuJoCo run.
 
 The responses are linear except for the characteristics of dampers and springs, which `sampled` and `integrated` include. Norms,
-margins and designs use the linearisation at equilibrium, whose response is `linearised`.
+margins and designs use the linearisation at equilibrium; `linearised` is the response of this linearisation.
 """
 
 import math
@@ -29,9 +29,9 @@ LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characte
 class Prediction:
     """Linear responses of one run from equilibrium. Each response is computed when it is first needed.
 
-    Linear analysis does not cover a Python control law. The responses for such a law are those of the vehicle to the forces
-    that the law requested. A run whose controller sets semi-active dampers is not linear and has no sampled response. For a
-    linear law, the continuous response then assumes that the dampers supply all requested forces.
+    Linear analysis does not cover a Python control law. For such a law, the responses are computed from the forces that the law
+    requested in the run. A run whose controller sets semi-active dampers is not linear and has no sampled response. For a linear
+    law, the continuous response then assumes that the dampers supply all requested forces.
 
     Attributes:
         input: vehicle with the limits and the implementation of this run, and its road.
@@ -39,7 +39,7 @@ class Prediction:
         requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for other
             controllers.
         replayed: True if the commands of a Python control law come from a log, so that the law is not run.
-        most_states: largest number of states, including delayed forces, of a loop whose eigenvalues are computed.
+        most_states: largest number of states, including delayed forces, of a loop for which eigenvalues are computed.
     """
 
     input: RoadInput
@@ -52,7 +52,7 @@ class Prediction:
     def sampled(self) -> Response:
         """Response of the sampled loop.
 
-        The response is exact if the loop is linear; with characteristics, it is the response of RK4. All values are NaN if a law
+        The response is exact if the loop is linear. With characteristics, it is computed by RK4. All values are NaN if a law
         sets semi-active dampers, because the loop is not linear.
         """
         return self._sampled[0]
@@ -166,7 +166,7 @@ class Prediction:
 
     @property
     def cause(self) -> str:
-        """Text with the effects that a run contains, but its sampled response does not; empty if only RK4's own error remains."""
+        """Text that lists effects in the run that are not in the sampled response; empty if only the error of RK4 remains."""
         noise = self.vehicle.implementation.noise_text if self.is_blurred else ""
         geometry = "geometry" if has_geometry(self.vehicle) else ""
         return " and ".join(filter(None, (geometry, noise, self.rounding_text)))
@@ -179,12 +179,12 @@ class Prediction:
 
     @property
     def varies(self) -> bool:
-        """True if noise, quantisation or rounding give the controller other commands at another time step."""
+        """True if the commands would be different at another time step, due to noise, quantisation or rounding."""
         return self.is_blurred or bool(self.rounding_text)
 
     @property
     def rounding_text(self) -> str:
-        """Number format to which exported code rounds, as text; empty without code, or for double precision."""
+        """Number format of exported code as text; empty if there is no code or the code uses double precision."""
         code = self.controller.code
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
@@ -194,7 +194,7 @@ def predict_run(controller: AnyController, road: RoadInput, commands: Array, mos
 
     Args:
         commands: commands of the actuators in the run, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
-        most_states: argument of `Prediction`.
+        most_states: see `Prediction`.
     """
     requested = commands if controller.user_code else np.zeros((0, 0))
     return Prediction(road, controller, requested, most_states=most_states)

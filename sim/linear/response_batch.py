@@ -1,7 +1,7 @@
 """Exact linear responses of N runs with linear laws, computed together in blocks, as in `sim.linear.sampled_response`.
 
-With the state xi, which does not jump with the road, and inputs v, xi' = A xi + sum of B v and y = C xi + sum of D v. The sums
-are evaluated state by state, which takes half the time of products of small matrices.
+The equations are xi' = A xi + sum of B v and y = C xi + sum of D v, with inputs v and a state xi that does not jump with the
+road. The products are evaluated state by state, which takes half the time of products of small matrices.
 """
 
 from collections.abc import Callable
@@ -49,8 +49,8 @@ class ResponseBatch:
         distinct = dict(zip(keys, batch.cases, strict=True))
         loops = {key: _closed_loop(one.vehicle, one.driver, timestep) for key, one in distinct.items()}
         systems = [loops[key].part(self.outputs, loops[key].inputs) for key in keys]
-        # Entries of the matrices, with the runs in the last axis: shapes (n, n, N) and (p, n, N); for each input (T, N, r), (n,
-        # r, N) and (p, r, N).
+        # Entries of the matrices for N runs: A and C with shapes (n, n, N) and (p, n, N); for each input, its values, B and D
+        # with shapes (T, N, r), (n, r, N) and (p, r, N).
         self._A, self._C, B, D = (np.stack([getattr(one, name) for one in systems], axis=-1) for name in "ACBD")
         columns = [systems[0].columns(names) for _, names in groups]
         self._inputs = [(values, B[:, some], D[:, some]) for (values, _), some in zip(groups, columns, strict=True)]

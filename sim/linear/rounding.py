@@ -1,9 +1,9 @@
 """Effect of rounding errors on the signals of a run.
 
-Rounding errors do not depend on the road. MuJoCo supports a vehicle by lengths of about a metre, rounded relatively to 1e-16,
-and by balanced forces of its total weight. The error of a signal is therefore the same for a bump of a decimetre and a bump of
-a micrometre. In the error model, every length among the states changes by a few rounding errors, and every velocity by this
-amount times the vehicle's fastest rate. The linear model gives the effect on the outputs.
+Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a relative rounding error of 1e-16, and
+balanced forces of the whole weight support the vehicle. The error of a signal is therefore the same for a bump of a decimetre and
+a bump of a micrometre. The error model assumes that each length among the states changes by a few rounding errors, and each
+velocity by this amount times the vehicle's fastest rate. The linear model gives the effect on the outputs.
 """
 
 import numpy as np
@@ -22,12 +22,12 @@ RATES = 400  # number of frequencies at which the gain of a law is evaluated
 def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, float]:
     """Returns a bound on the rounding error of every output signal [unit of the signal].
 
-    The forces of a nonlinear law count as exact.
+    The forces of a nonlinear law are assumed to be exact.
     """
     model = vehicle.linear_model
     rate, moved_states = effect_on_states(vehicle)
     pushed = np.zeros(len(model.inputs))
-    if vehicle.dampers:  # the force of a damper has a rounding error, because its velocity has one
+    if vehicle.dampers:  # the force of a damper has a rounding error, because the velocity has a rounding error
         pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
             one.steepest_slope for one in vehicle.parts.adjustable
         ]

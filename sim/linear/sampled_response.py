@@ -1,31 +1,31 @@
 """Exact linear responses of the sampled loop that MuJoCo simulates, and of the paper's continuous closed loop.
 
-Sampled loop. The forces are held over each step. The road is held, too: at its midpoint height or, for a measured road, at its
-mean height over the step (`RoadInput.midway`), as in `sim.drive`. The state xi = x - Bw z_r does not jump with the road. With
-xi, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r. Over a step, u and z_r are constant:
+Sampled loop. The forces are held over each step. The road is also held, at the height at mid-step or, for a measured road, at the
+mean height over the step (`RoadInput.midway`), as in `sim.drive`. The state xi = x - Bw z_r does not jump with the road. With xi,
+(29) becomes xi' = A xi + B u + (A Bw + Br) z_r. Over a step h, u and z_r are constant, so that
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; held z_r],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
 If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J then replaces Bw in these equations. Bt acts on the mean road
 velocity over the step, which is held like a load.
 
-If a damper or a spring has a characteristic, the response is that of RK4 (`sim.linear.stepped`), regardless of `exponential`.
+If a damper or a spring has a characteristic, the response is computed by RK4 (`sim.linear.stepped`), regardless of `exponential`.
 
-Loads f on the body (`models/roads/loads/`) are held over each step, as the road is; loads from files are held at their means.
-Loads enter the equations like u, with Bl instead of B. Signals and measurements at a sample use the load at the sample. A law
-with states and a measured acceleration enlarge the state (`synth/plant/loop.py`), but the equations remain the same.
+Loads f on the body (`models/roads/loads/`) are also held over each step, at mid-step values; loads from files are held at their
+mean values. Loads enter the equations like u, with Bl instead of B. Signals and measurements at a sample use the load at the
+sample. Laws with states and measured accelerations enlarge the state (`synth/plant/loop.py`), but the equations remain the same.
 
 Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
     x[k+1] = exp(A_G h) x[k] + integral of exp(A_G (h - s)) (Bw z_r' + Br z_r)(t_k + s) ds,
 
-The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding for a smooth road. A step with
-a kink of the road is divided at the kink.
+The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding errors for a smooth road. A step
+with a kink of the road is divided at the kink.
 
 Preview. The forces from the road ahead are added to those of the gain. In the sampled loop, the preview forces are known sums
 over the road heights. In the continuous loop, the preview forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d =
-Bp z_r' + Hp z_r, which decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. For y = x - P g, only
-the road remains on the right-hand side, and g is computed separately:
+Bp z_r' + Hp z_r, which decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. In the equation for y =
+x - P g, only the road remains on the right-hand side, and g is computed separately:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
 """
@@ -53,7 +53,7 @@ from synth.plant.state_space import StateSpace
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
 
-NODES = 8  # nodes of the quadrature over a step
+NODES = 8  # number of nodes of the quadrature over a step
 WHOLE = 1e-9  # relative; a preview time this close to an integer number of steps counts as an integer
 
 
@@ -175,7 +175,7 @@ def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
 
 
 def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
-    """Returns g, P and the road's contribution to y over each step, see the module docstring; shapes (T, k), (n, k) and (T, n).
+    """Returns g, P and the road's contribution to y over each step (see module docstring), shapes (T, k), (n, k) and (T, n).
 
     The evaluation of a random road takes most of the time, so every quadrature node is used for all three integrals.
 
@@ -201,7 +201,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ preview.H.T if preview.H.any() else pushed
 
     def change(t: Array) -> Array:
-        """Returns the change of d within the preview at given times: new at t, leaving at t + T, shape (T, k)."""
+        """Returns the terms of d that enter and leave the preview window at given times, shape (T, k)."""
         return met(t) - met(t + T) @ later.T
 
     def back(push: Callable[[Array], Array], left: float, right: float, start: float) -> Array:
@@ -232,7 +232,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
             drive[steps] = _at_cuts(A, lambda t: change(t) @ P.T, cuts, h)
     Phi = linalg.expm(preview.A * h)
     last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
-    if not in_steps:  # a part of a step remains
+    if not in_steps:  # the preview ends within a step
         left, right = time[-1] + whole * h, time[-1] + T
         edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
         last = last + sum(back(met, *pair, time[-1]) for pair in itertools.pairwise(edges))
@@ -264,7 +264,7 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
 
     A jump is an impulse of the road velocity, which acts through Bw.
 
-    A jump at a sample belongs to the step that begins there. Each jump acts `ahead` seconds before the wheel reaches it.
+    A jump at a sample belongs to the step that begins there. Each jump acts `ahead` seconds before the wheel reaches the jump.
     """
     time, h = road_input.time, road_input.timestep
     leaps = np.zeros((len(time), len(A)))
@@ -291,7 +291,7 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
     return forcing
 
 
-# number of divided steps up to which each has its own matrix exponentials; with more, as on a measured road, these are
+# largest number of divided steps for which each step has its own matrix exponentials; for more, as on a measured road, they are
 # interpolated
 FEW = 64
 
@@ -366,8 +366,8 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
 def largest_timestep(vehicle: Vehicle) -> float:
     """Returns the largest stable time step of RK4 for the vehicle without control [s], to 1 %; infinite if nothing moves.
 
-    Semi-active dampers count at their softest and hardest setting, and with the lag of their valves. States of parts count at
-    their fastest rate.
+    Semi-active dampers are considered at their softest and hardest setting, with the lag of their valves. The states of parts are
+    considered at their fastest rate.
     """
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]

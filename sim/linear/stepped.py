@@ -1,16 +1,16 @@
-"""Response of a vehicle that is linear except for its suspension forces, in steps of RK4, as MuJoCo integrates.
+"""Response of a vehicle that is linear except for its suspension forces, computed in steps of RK4 like those of MuJoCo.
 
-The state xi is that of `sim.linear.sampled_response`, f are the forces of `SuspensionForces`, and E is their effect on the
+The state xi is defined in `sim.linear.sampled_response`. f contains the forces of `SuspensionForces`, and E their effect on the
 states:
 
     xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
 The deflections d, their rates v and the states z of parts are linear in x. If the states of parts are not linear, their
-additional rates are further forces in f. If the inertance at a motion ratio differs by b(d) from that in A, f also contains
-b(d) v' with v' = V xi'. The force u, the road z_r and the loads l are held over each step. Only f is nonlinear. The four stages
-of a step are therefore products with matrices that are computed in advance, and only f is evaluated in each stage.
+additional rates are further forces in f. If a motion ratio changes an inertance by b(d) from its value in A, f also contains b(d)
+v' with v' = V xi'. The force u, the road z_r and the loads l are held over each step. Only f is nonlinear. The four stages of a
+step are therefore products with matrices that are computed in advance, and only f is evaluated in each stage.
 
-Actuator forces and the coefficients of semi-active dampers act through their lag, and through the motion ratio at each stage.
+Actuator forces and the coefficients of semi-active dampers act with their lag, and with the motion ratio at each stage.
 At every sample, a law requests forces, and each semi-active damper takes the coefficient in its range that comes closest to its
 requested force. Limits of travel and force are not included.
 """
@@ -65,7 +65,7 @@ class Stepper:
         w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching_rates(vehicle) if vehicle.dampers else np.zeros((m, n))
-        self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
+        self._still = None if felt else np.zeros((1, m))  # no suspension force depends on the inputs
         rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
         of_road = of_road + rows @ model.jump
         if felt:
@@ -78,7 +78,7 @@ class Stepper:
         self._rows = np.vstack([rows, V @ model.A]).T
         self._of_road = np.vstack([of_road, V @ (model.A @ model.jump + model.Br)]).T
         self._of_inputs, self._of_held = np.vstack([of_inputs, V @ model.B]).T, V @ model.Bh
-        # Matrices of a whole step. Their columns belong to states, inputs, road, loads, and the forces of the four stages.
+        # Matrices of a whole step. Their columns are for states, inputs, road, loads, and the forces of the four stages.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
         start = total = np.eye(n, forces + 4 * w)
@@ -112,7 +112,7 @@ class Stepper:
         """Returns xi after a step, shape (N, n).
 
         Args:
-            xi: state xi before the step, shape (N, n).
+            xi: state xi of the vehicle before the step, shape (N, n).
             added: contribution of road, loads and inputs, shape (N, k), see `outside` and `by_inputs`.
         """
         known, s, w = xi.dot(self._of_states), self._s, self._s + self._own
@@ -132,7 +132,7 @@ class Stepper:
         """Returns the forces of the suspensions [N], shape (..., N, s).
 
         Args:
-            xi: state xi, shape (..., N, n).
+            xi: state xi of the vehicle, which does not jump with the road, shape (..., N, n).
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
             held: loads, and road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None for zero.
@@ -143,7 +143,7 @@ class Stepper:
         return self._pulls(*self._at(y))
 
     def _at(self, y: Array) -> tuple[tuple[Array, Array, Array, Any], Array]:
-        """Returns the arguments of `SuspensionForces`, and v' without these forces, from a stage's values, shape (..., N, k)."""
+        """Returns the arguments of `SuspensionForces` at a stage, and v' without these forces, from the stage's values."""
         s, last = self._s, y.shape[-1] - len(self._response)
         end = last - self._own
         inputs = y[..., 2 * s : end] if self._still is None else self._still
@@ -194,7 +194,7 @@ class Stepper:
                 given = of.forces(coefficients, self.closing(of, xi, road.heights))
                 beside |= {model.inputs[one.column]: given[:, one.column] for one in of.elements}
         response = response_of(model, road, x, inputs, beyond, beside)
-        # these signals may contain the forces of dampers
+        # the output signals may depend on the forces of dampers
         for name, parts in vehicle.kind.combined.items() if vehicle.dampers else ():
             total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
             response.values[:, response.names.index(name)] = total
@@ -227,7 +227,7 @@ class _Laws:
     """Laws of N runs that measure q signals at their samples. Laws with fewer states than others are padded with zeros."""
 
     def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
-        """Prepares the laws. `period` is the number of time steps per sample."""
+        """Prepares the laws. `period` is the number of time steps per sample of the laws."""
         model, different, laws = steps.model, {id(one): one for one in controllers}, dict[int, LinearLaw]()
         for key, one in different.items():
             with error_in(f"controller {one.name!r}:"):
@@ -257,8 +257,8 @@ class _Laws:
 
         Args:
             sample: index of the sample.
-            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. These inputs have acted until
-                now.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. These are the inputs that have
+                acted until the sample.
             law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]
@@ -299,14 +299,14 @@ class SteppedRuns:
 
     @property
     def single(self) -> Response:
-        """Response of the first run, with its values on the other side of vertical edges of the road."""
+        """Response of the first run, including the values on the other side of vertical edges of the road."""
         model = self.steps.model
         return with_linear_sides(self.response.run(0), self.inputs[0], model.C @ model.jump + model.Cr, True)
 
     @property
     @np.errstate(over="ignore", invalid="ignore")
     def finer(self) -> Response:
-        """Response without the error of RK4, which is estimated.
+        """Response without the estimated error of RK4.
 
         The error of a step follows from two steps of half its length, which are computed for all steps together. The error then
         propagates as in the linear model without the controller.
@@ -322,7 +322,7 @@ class SteppedRuns:
         return replace(self, states=self.states + error).response
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows, which its run records
+@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow; the run records this
 def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> SteppedRuns:
     """Returns the runs of sampled loops from equilibrium. For laws with fewer states than others, the last states are 0.
 

@@ -1,1 +1,1 @@
-"""Observers of runs: recorder, ends, twin and growth during a run; checks of steps, commands and energy of a recording."""
+"""Observers of runs: recorder, ends, twin and growth work during a run; steps, commands and energy check a recording."""

@@ -1,10 +1,10 @@
 """Comparison of a run's commands with its control law, which is evaluated on the run's own measurements at every sample.
 
-Every sample starts from the measurements of the run and the recorded states of the law. An error of one sample therefore does
-not hide another. Three things are compared. The measurements must be the run's signals at the sample, to which noise and
-quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each command must act
-`delay` samples after its measurements. A Python control law, an FMU or exported code is started again and receives the same
-measurements.
+At each sample, the law is evaluated with the measurements of the run and the recorded states of the law. An error at one sample
+therefore cannot hide an error at another. Three things are compared. The measurements must be the run's signals at the sample, to
+which noise and quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each
+command must act `delay` samples after its measurements. A Python control law, an FMU or exported code is started again and
+receives the same measurements.
 """
 
 from collections.abc import Iterator
@@ -31,8 +31,8 @@ from synth.controller.controller import AnyController, Controller
 if TYPE_CHECKING:
     from models.laws.semi_active import SemiActive
 
-SPEED = 1e-8  # m/s, and relative to the largest closing velocity; the largest difference measured is 4e-16
-# relative to the largest terms of a sum; rounding causes at most 1e-13, and a command that is late by a sample 1e-3 or more
+SPEED = 1e-8  # m/s, and also relative to the largest closing velocity; the largest observed difference is 4e-16
+# relative to the largest terms of a sum; rounding causes at most 1e-13, but a command one sample late at least 1e-3
 EXACT = 1e-10
 
 
@@ -61,7 +61,7 @@ class _Samples:
 
 
 def compare_commands(controller: AnyController, road: RoadInput, recording: Recording) -> CommandAgreement:
-    """Compares a run's commands with its control law, until the run diverges.
+    """Compares a run's commands with its control law, up to the time at which the run diverges.
 
     Args:
         controller, road: controller, vehicle and road that the run should have.
@@ -93,7 +93,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
     if result.agrees or not controller.serial:
         return result
     once = answer()
-    # a law that still depends on its previous run now gives other commands
+    # if a law still depends on its previous run, its commands now differ
     _again(controller, road, replace(samples, due=due[: len(due) // 2]))
     if any(np.any(a[2] != b[2]) for a, b in zip(once, answer(), strict=True)):
         return replace(_worst(readings, vehicle), repeatable=False)
@@ -120,7 +120,8 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
 def _readings(controller: AnyController, road: RoadInput, recording: Recording, due: Array) -> Iterator[Difference]:
     """Yields the differences between the measurements and the run's signals at the samples.
 
-    An acceleration is measured before the new force and load act. Therefore `sim.observers.steps` compares accelerations.
+    An acceleration is measured before the new force and load act. Accelerations are therefore compared by `sim.observers.steps`
+    instead.
     """
     physics = from_steady(road, recording.response)
     rounded = roundings(road.vehicle, None)
@@ -142,7 +143,7 @@ def _readings(controller: AnyController, road: RoadInput, recording: Recording, 
 def _commands(
     controller: AnyController, road: RoadInput, samples: _Samples, recording: Recording, count: int, late: int
 ) -> Iterator[Difference]:
-    """Yields the differences between the run's commands and those of the law; for a linear law, also of its states."""
+    """Yields the differences between the commands of the run and of the law; for a linear law, also those of the states."""
     vehicle, times = road.vehicle, road.time[:count]
     inputs = vehicle.linear_model.inputs
     names = (*inputs, *(f"missing {name}" for name in inputs))
@@ -170,13 +171,13 @@ def _commands(
 
 
 def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
-    """Returns the commands of samples after a rate limit, shape (K, m).
+    """Returns the rate-limited command of each sample, shape (K, m).
 
-    Each starts from the logged command of the previous sample.
+    Each command starts from the logged command of the previous sample.
 
     Args:
-        logged: commands of the samples whose commands have acted, shape (.., m). The commands of later samples start from
-            commands computed here.
+        logged: commands that have acted in the run, by sample, shape (.., m). Later commands start from commands that are
+            computed here.
     """
     before = np.zeros_like(requested)
     before[1 : len(logged) + 1] = logged[: max(len(before) - 1, 0)]
@@ -188,11 +189,11 @@ def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) ->
 def _linear(
     controller: Controller, road: RoadInput, samples: _Samples, limiter: CommandLimiter | None, logged: Array
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with the allowed difference.
+    """Returns a linear law's commands, shape (K, c), and next states, shape (K, k), each with the allowed differences.
 
     Args:
         limiter: rate limiter of the commands, or None.
-        logged: argument of `_limit_commands`.
+        logged: see `_limit_commands`.
     """
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law = controller.law.sampled(samples.period * h)

@@ -1,4 +1,4 @@
-"""Observer of the ends of the linear regime of runs, and of the events after which a run is invalid."""
+"""Observer that finds the end of the linear regime of each run, and events after which a run is invalid."""
 
 import math
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class RunEnd:
 
     @property
     def flat(self) -> float:
-        """Time at which a tyre is first fully compressed [s]; infinity if none is."""
+        """Time at which a tyre is first fully compressed [s]; infinity if no tyre is."""
         return float(self.times[REGIME_ENDS.index(FLAT)])
 
     @cached_property
@@ -62,7 +62,7 @@ class Ends:
 
     @property
     def until(self) -> Array:
-        """Time until which each run is linear, according to the blocks so far [s], shape (N,); infinity if it is linear."""
+        """Time until which each run is linear, by the blocks so far [s], shape (N,); infinity if no limit was reached."""
         return np.minimum(self._detector.first, self._batch.diverged)
 
     def take(self, block: Block) -> None:

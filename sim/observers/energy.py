@@ -1,39 +1,39 @@
 """Energy balance of a run: work of road and actuators compared with stored and dissipated energy.
 
-The balance needs no reference response. MuJoCo holds the road within a step, so the road does its work between the steps. The
-jump of its height then changes the energy of the tyre springs. Within a step, the stored energy changes by the work of
+The balance needs no reference response. MuJoCo holds the road within a step, so the road does work only between the steps, where
+the jump of the road height changes the energy of the tyre springs. Within a step, the stored energy changes by the work of
 actuators and loads, minus the energy that the dampers dissipate:
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
-Here E is the kinetic and potential energy. The residual of this equation is the error of the integrator and of the integrals.
-The integrals use Simpson's rule. The values in the middle of a step follow from the lengths l and rates l' at both ends by
-Hermite's cubic. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear in
-its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
-tyre leaves the road. The force then has a kink, and the residual is only of about second order. This also applies to the knots
-of characteristics.
+Here E is the kinetic and potential energy. The residual of this equation is due to errors of the integrator and of the integrals.
+The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the lengths l and
+rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear
+in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
+tyre leaves the road. The force then has a kink, and the residual is only of about second order. This also applies to the knots of
+characteristics.
 
 E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
-file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual, and so does any force
-that the vehicle does not have. If the equations of a vehicle type do not include energy, MuJoCo computes E, and only the
+file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. So does any force in
+MuJoCo that the vehicle does not have. If the equations of a vehicle type do not include energy, MuJoCo computes E, and only the
 comparison with the linear model checks the masses. Nonlinear suspension forces, bump stops and the largest force of an actuator
 always come from the vehicle file. The coefficients of linear dampers come from the MuJoCo model.
 
-An actuator should act along the deflection of its suspension, and its work is computed along this signal. An actuator that acts
-on one end only, or through a gear, therefore also causes a residual. The work of an actuator without a suspension, which acts
-against the ground, is computed along MuJoCo's actuator. For this actuator, only the comparison with the linear model shows
-these faults. The force of a semi-active damper beyond its nominal force is -d l'. The coefficient d is held over a step, or
-lags behind its command. The work of this force is computed with Simpson's rule, too. An element of `[parts]` whose voltage is
-set stores energy that depends on its present voltage, so a change of the voltage does work. This work of its coil counts as
-work of its actuator. A separate check of force and speed at every sample confirms that a damper dissipates energy for every
-commanded coefficient or voltage.
+The work of an actuator is computed along the deflection of its suspension. If an actuator of the MuJoCo model acts on one end
+only, or through a gear, this also causes a residual. The work of an actuator without a suspension, which acts against the ground,
+is computed along MuJoCo's actuator. For this actuator, only the comparison with the linear model shows these faults. The force of
+a semi-active damper beyond its nominal force is -d l'. The coefficient d is held over a step, or lags behind its command. The
+work of this force is also computed with Simpson's rule. An element of `[parts]` whose voltage is set stores energy that depends
+on its present voltage, so a change of the voltage does work. This work of the coil is counted as work of the actuator. A separate
+check of force and speed at every sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
 
-The residual is relative to the turnover. This is the energy that the dampers dissipate, the energy that the actuators supply
-and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide small residuals.
+The residual is given relative to the turnover. The turnover is the sum of the energy that the dampers dissipate, the energy that
+the actuators supply and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide
+small residuals.
 """
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings have no type stubs.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -64,10 +64,10 @@ if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
     from models.parts.settable import SetElement
 
-# The same limit without kinks, relative to the fourth power of the step times the vehicle's fastest rate. Random vehicles of
-# every type reach 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
+# The same limit for forces without kinks, relative to the fourth power of the product of step and the vehicle's fastest rate.
+# Random vehicles of every type reach 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
-NEAR = 0.95  # share of the distance of a tyre or a suspension to a kink, above which it may reach the kink within a step
+NEAR = 0.95  # share of the distance to a kink above which a tyre or a suspension may reach the kink within a step
 AT_ONCE = 4096  # number of states that are evaluated together
 
 
@@ -86,7 +86,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
     response = run.response.samples(slice(count))
     work, least = _by_inputs(vehicle, path, response, run.commands[:count])
     by_loads = np.zeros((count - 1, 1))
-    if road.loaded:  # loads are held and act along joints, so their work is exact
+    if road.loaded:  # loads are held and act along joints, so the computed work is exact
         moved = np.diff(run.qpos[:count, pushed_dofs(vehicle, path.model)], axis=0)
         by_loads = road.held_loads[: count - 1] * moved
     by_road, lost = _by_tyres(path, road)
@@ -148,7 +148,8 @@ def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | 
 def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
     """Returns the work of an element's coil, and the energy that its command adds to the stored energy.
 
-    The work is given during each step and at its end, shapes (T - 1,) each, and the energy at the samples, shape (T,), in [J].
+    The result contains the work during each step and at the end of each step [J], shapes (T - 1,), and the energy at the samples
+    [J], shape (T,).
 
     A change of the voltage changes the energy that the hysteresis stores.
     """
@@ -178,7 +179,7 @@ def _lost_energy(
     if z is not None:
         (d, v), _, (after, w) = length.stages
         turned = length.h / 8 * (one.part.rate(d, v, z[:-1], inputs[0]) - one.part.rate(after, w, z[1:], inputs[2]))
-        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as for the lengths
+        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # cubic through values and rates at both ends, as for the lengths
     stages = [(d, v, z, u) for (d, v), z, u in zip(length.stages, own, inputs, strict=True)]
     pulls = [one.part.beyond(d, v, z, u) + one.added_line(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
     taken = length.integral(v * pull for (_, v, _, _), pull in zip(stages, pulls, strict=True))
@@ -187,7 +188,7 @@ def _lost_energy(
 
 @dataclass(frozen=True, eq=False)
 class _Length:
-    """Length over the T - 1 steps of a run.
+    """A length over the T - 1 steps of a run.
 
     Attributes:
         d: deflection from equilibrium at the samples, with the road of the step that begins [m], shape (T,).
@@ -263,7 +264,7 @@ def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array,
 
 
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
-    """Returns the work of the road in addition to that on the tyre springs, and the energy that tyres dissipate, per step [J].
+    """Returns the road's work in each step except that on the tyre springs, and the energy that tyres dissipate [J].
 
     The shapes are (T - 1,) each.
 
@@ -314,7 +315,7 @@ class _Path:
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
-        """Evaluates T states with the road of the step that begins, and with that of the step that ends if the road moved."""
+        """Evaluates T states with the road of the step that begins and, if the road moved, with that of the step that ends."""
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))
@@ -329,7 +330,7 @@ class _Path:
         return _Length(d, factor * self.starts[:, len(self.rest) // 2 + 1 + number], after, self.h)
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
-        """Returns the deflection along which an input acts: that of its suspension, or else that of its actuator."""
+        """Returns the deflection along which an input acts: of its suspension if it has one, otherwise of its actuator."""
         model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.deflection_of(force))
         firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None
@@ -356,7 +357,7 @@ def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
 
 
 def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
-    """Returns the energies, lengths and rates of `_Path` in T states with given road heights, shape (T, n)."""
+    """Returns the energies, lengths and rates of `_Path` for T states with given road heights, shape (T, n)."""
     names = ("energy", "ten_length", "qpos", "actuator_length", "ten_velocity", "qvel", "actuator_velocity")
     batch = Batch(model, min(AT_ONCE, max(1, len(qpos))), 0)
     columns, heights, mocap = [batch.bind(name) for name in names], batch.bind("mocap_pos"), mocap_indices(vehicle, model)

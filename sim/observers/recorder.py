@@ -25,9 +25,9 @@ class Recording:
 
     Attributes:
         case: case of the run.
-        input: road of the run at the samples.
-        response: signals of the vehicle, followed by the states of a linear law at its last sample. After a divergence, signals
-            are NaN. States are then infinite if they caused the divergence, otherwise NaN.
+        input: vehicle and road of the run, with the road heights at the samples.
+        response: signals of the vehicle, followed by the states of a linear law, each at the law's last sample. After a
+            divergence, signals are NaN. States of the law are then infinite if they caused the divergence, and otherwise NaN.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run.
         qvel: MuJoCo's generalised velocities, shape (T, nv).
         measured: each measured signal and closing velocity at the samples of the controller, shape (T,), by name; see
@@ -60,7 +60,7 @@ class Recording:
 
     @property
     def law_states(self) -> Array:
-        """States of a linear law at its last sample, shape (T, k)."""
+        """States of a linear law, each at the law's last sample, shape (T, k)."""
         return self.response.values[:, len(self.vehicle.kind.signals) :]
 
 
@@ -99,7 +99,7 @@ class Recorder:
 
 
 def from_steady(road: RoadInput, response: Response) -> Response:
-    """Returns a response relative to the steady motion in which its vehicle starts, if it does not start in equilibrium."""
+    """Returns a response relative to the steady motion in which the vehicle starts; unchanged if it starts in equilibrium."""
     steady = road.steady_signals(response.time)
     if steady is None:
         return response

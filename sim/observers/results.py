@@ -1,4 +1,4 @@
-"""Results of the optional observers of a run: checks of its steps and commands, and its energy balance."""
+"""Results of the optional observers of a run: checks of steps and commands, and the energy balance."""
 
 from dataclasses import dataclass, replace
 
@@ -8,29 +8,29 @@ from models.document.field import Field
 from models.document.text import ShownResult, facts
 
 WHEN = Field[float]("time", float, ".4g", unit="s")
-DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, relative to its peak
+DIFFERENCE = Field[float]("difference", float, ".1e")  # difference of a signal, relative to the signal's peak
 ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # allowed difference of a check
 JOULES = Field[float]("energy", float, ".5g", unit="J")
-# Largest residual if a force has a kink, relative to the turnover. RK4 then causes 5e-5 at 1 ms and 6e-4 at 4 ms for every
-# built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes at least 3e-3.
+# Largest residual if a force has a kink, relative to the turnover. RK4 then causes residuals of 5e-5 at 1 ms and 6e-4 at 4 ms for
+# every built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes a residual of at least 3e-3.
 BALANCE_TOLERANCE = 1e-3
-# The residual of a fault does not depend on the step, but that of RK4 falls at least with the second power of the step. If the
-# residual is too large, the run is therefore repeated at half the step, and this multiple of the decrease is allowed in
-# addition. For second order, the error is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430 kN/m, often in the air,
-# causes 2.6e-3 at 1 ms and 5.7e-4 at half a millisecond.
-FALLS, COARSEST = 1.5, 0.1  # also the largest residual that confirms a balance; a larger one is not evaluated
-ROUNDING = 1e-8  # smallest turnover, relative to the energy in equilibrium; below it, the residual is a rounding error
+# The residual of a fault does not depend on the step, but the residual of RK4 decreases at least with the square of the step. If
+# the residual is too large, the run is therefore repeated at half the step, and this multiple of the observed decrease is allowed
+# in addition. If the error is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430 kN/m that is often
+# in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
+FALLS, COARSEST = 1.5, 0.1  # factor on the decrease, and largest residual that can confirm a balance
+ROUNDING = 1e-8  # turnover relative to the energy in equilibrium, below which the residual is a rounding error
 
 
 @dataclass(frozen=True)
 class LocalAgreement:
-    """Result of one of the two local checks, of steps or of commands.
+    """Result of a local check, either of steps or of commands.
 
     Attributes:
-        error: difference with the largest ratio to the allowed difference, relative to the peak of the signal.
+        error: difference that is largest compared with the allowed difference, relative to the peak of the signal.
         allowed: allowed difference of this signal, relative to its peak.
         signal: name of this signal, command or state of the law.
-        since: time of the first step or sample with a difference above the allowed one [s]; infinity if there is no such step.
+        since: time of the first step or sample at which a difference is not allowed [s]; infinity if there is no such step.
     """
 
     error: float
@@ -40,13 +40,13 @@ class LocalAgreement:
 
     @property
     def agrees(self) -> bool:
-        """True if all differences are within the allowed ones."""
+        """True if no difference exceeds the allowed difference."""
         return self.error <= self.allowed
 
 
 @dataclass(frozen=True)
 class StepAgreement(LocalAgreement):
-    """Differences of the simulation from the exact equations of the vehicle over single steps, and at the starts of the steps.
+    """Differences between the simulation and the vehicle's exact equations, over single steps and at the starts of the steps.
 
     Attributes:
         until: time before which a step must begin to be compared [s]; infinite if all steps are compared.
@@ -59,7 +59,7 @@ class StepAgreement(LocalAgreement):
 
 @dataclass(frozen=True)
 class CommandAgreement(LocalAgreement):
-    """Differences of a run's measurements, commands and law states from its control law.
+    """Differences between a run and its control law: measurements, commands and states of the law.
 
     Attributes:
         repeatable: False if the law gave different commands for the same measurements when it was started again twice. The
@@ -81,11 +81,11 @@ class Energy(ShownResult):
         turnover: sum of the energy that the dampers dissipate, the energy that the actuators supply and absorb, and the largest
             kinetic energy [J].
         loads: work done by the loads on the body [J]; None without loads.
-        allowed: largest residual that the error of the integrator explains: that of RK4 if no force has a kink, otherwise
-            `BALANCE_TOLERANCE`. The limit is larger if half the step leaves a smaller residual.
+        allowed: largest residual that the error of the integrator can explain: the residual of RK4 if no force has a kink,
+            otherwise `BALANCE_TOLERANCE`. The limit is larger if half the step leaves a smaller residual.
         residual: largest magnitude over time of the work done minus the stored and dissipated energy, relative to `turnover`.
-        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest. The value is below 0
-            if the damper supplied energy. None if the vehicle has no semi-active dampers.
+        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest power. The value is
+            below 0 if the damper supplied energy. None if the vehicle has no semi-active dampers.
     """
 
     road: float
@@ -133,6 +133,6 @@ class Energy(ShownResult):
         return self.residual > self.allowed
 
     def with_half_step(self, finer: "Energy") -> "Energy":
-        """Returns the balance with the allowed residual that follows from the same run at half the step."""
+        """Returns the balance with an allowed residual that is based on the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
         return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))

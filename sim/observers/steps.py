@@ -1,13 +1,14 @@
-"""Comparison of a simulation with the exact equations for each step and signal, also if no linear response applies.
+"""Comparison of a simulation with the exact equations, step by step and signal by signal, even if no linear response applies.
 
-The signals at one sample determine the state. RK4 with the equations of the vehicle file then gives the signals at the next
-sample. The simulation must have the same signals up to rounding errors. This includes rotating bodies, nonlinear
-characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the simulated state, so an error
-of one step does not hide another, and all steps are computed together. Forces and damper coefficients are the commands of the
-controller, with the limits and the lag of the vehicle file.
+The signals at one sample determine the state. A step of RK4 with the equations of the vehicle file then gives the signals at the
+next sample. The simulated signals must be the same up to rounding errors. The equations include rotating bodies, nonlinear
+characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the simulated state, so an error in
+one step cannot hide an error in another, and all steps can be computed together. Forces and damper coefficients are the commands
+of the controller, with the limits and the lag of the vehicle file.
 
 The state and the forces at a sample also determine all other output signals. These are accelerations at the beginning of the
-step, velocities of points of the body, sums of signals, and the forces. The simulation must have these signals, too.
+step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals must also be the
+same.
 """
 
 from collections.abc import Mapping
@@ -35,10 +36,9 @@ from sim.observers.results import StepAgreement
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
-# relative to the peak; the largest difference measured is 1e-12 per step, and a force that is wrong by 1e-4 causes at least
-# 1e-8
+# relative to the peak; the largest observed difference is 1e-12 per step, and a force that is wrong by 1e-4 causes 1e-8 or more
 EXACT = 1e-10
-UNIT = 1024.0  # N; force for the response of accelerations, which is linear in the force
+UNIT = 1024.0  # N; force with which the response of the accelerations is computed; the response is linear in the force
 
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
@@ -52,7 +52,9 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
 
 
 def compare_steps(road: RoadInput, recording: Recording, until: float, rounding: Mapping[str, float]) -> StepAgreement | None:
-    """Compares every step that ends before a time [s] with the vehicle's equations. Returns None without equations.
+    """Compares every step that ends before a time [s] with the vehicle's equations.
+
+    Returns None if the vehicle has no equations of motion.
 
     Args:
         road: vehicle and road that the run should have.
@@ -72,7 +74,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     told = (*motion.names, *(one.name for one in road.vehicle.kind.of_parts))
     names = (*told, *shown, *readings)
     held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
-    # A signal has a rounding error, and so do the signals from which it is computed.
+    # The signal itself has a rounding error, and so do the signals from which it is computed.
     rounded = [held[name] for name in told]
     for name in (*shown, *readings):
         parts = combined.get(name, {name: 1.0})
@@ -178,11 +180,11 @@ def _pulls(
 ) -> "Pulls":
     """Returns a function that computes the suspension forces for given states, including those of inertial parts.
 
-    Without inertial parts, the rates of the deflections change by a. The forces p of inertial parts change this to a + R p, so
-    p = b (a + R p). A complex step along a motion gives the exact change of these rates.
+    Without inertial parts, the rates of the deflections change by a. The forces p of inertial parts change these rates to a + R
+    p, so p = b (a + R p). A complex step along a motion gives the exact change of these rates.
 
     Args:
-        given: commands that act.
+        given: commands that act during the stage.
         own: states of the vehicle's parts.
         seen: list that receives the deflections and their rates as its first entry.
         state, heights, inputs, loads: arguments of `Motion.rate`.
@@ -221,7 +223,7 @@ def _pulls(
 
 
 def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
-    """Returns the vehicle's other signals at the starts from the equations, for given commands and loads, each of shape (K,)."""
+    """Computes the vehicle's other signals at the starts from the equations, for given commands and loads, shape (K,) each."""
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 
@@ -250,7 +252,7 @@ def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: 
 def _readings(
     motion: "Motion", starts: _Starts, physics: Response, measured: Mapping[str, Array], loads: Array
 ) -> dict[str, Array]:
-    """Returns the measured accelerations at the starts from the equations, for given loads, each of shape (K,).
+    """Computes the measured accelerations at the starts from the equations, for given loads, shape (K,) each.
 
     A measurement is taken before the new commands act.
     """
@@ -266,7 +268,7 @@ def _readings(
 
 
 def _at_wheels(vehicle: Vehicle, given: Array) -> Array:
-    """Returns the actuator forces at the wheels with the motion ratios in equilibrium [N], shape (K, m); 0 for dampers."""
+    """Returns the actuator forces at the wheels, for the motion ratios in equilibrium [N], shape (K, m); 0 for dampers."""
     forces = vehicle.linear_model.inputs
     return np.where(np.isin(forces, list(vehicle.dampers)), 0.0, given) * [vehicle.motion_ratios[name] for name in forces]
 

@@ -24,7 +24,7 @@ class Twin:
     """Comparison of N runs of linear laws with their exact linear responses.
 
     Attributes:
-        meter: meter for the linear responses; None to compare only their states.
+        meter: meter that receives the linear responses; None to compare only the states.
     """
 
     def __init__(self, batch: Batch, ends: Ends, meter: "SignalMeter | None" = None) -> None:
@@ -39,7 +39,7 @@ class Twin:
         """Compares the next block. If there is a meter, the outputs in the block are replaced by those of the linear response."""
         values, some = block.values, slice(block.start, block.start + len(block.values))
         before, index = self._batch.time[some, None] < self._ends.until, self._responses.index
-        with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows, which its run records
+        with np.errstate(over="ignore", invalid="ignore"):  # the signals of an unstable loop overflow; the run records this
             output_of = self._responses.block(some)
             for i in self._states if self.meter is None else range(len(index)):
                 output = output_of(i)

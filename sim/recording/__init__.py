@@ -1,1 +1,1 @@
-"""Recording of runs as MCAP and Rerun files, with layouts for their viewers. Start with `files.py`."""
+"""Recording of runs as MCAP and Rerun files, with layouts for the viewers of these files. Start with `files.py`."""

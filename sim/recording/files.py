@@ -76,7 +76,7 @@ def record(
 
 
 def _publish_files(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
-    """Renames complete files to the first name that is free for all of them. Returns the final paths."""
+    """Renames complete files to the first name that is free for all of them. The final paths are returned."""
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"
         final = {kind: folder / f"{name}.{SUFFIXES[kind]}" for kind in written}

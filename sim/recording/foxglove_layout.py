@@ -31,7 +31,10 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 
 def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog], name: str) -> Any:
-    """Adds the panels of one or all runs. A single run has its car and events on the left; all cars are above the plots."""
+    """Adds the panels of one or all runs.
+
+    For a single run, the car and the events are on the left; for all runs, the cars are above the plots.
+    """
     car, log = f"3D!{_id(name)}", f"RosOut!{_id(name)}"
     panels[car] = _scene(runs, seen)
     plots = _tab_panel(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages(runs, seen)])
@@ -54,7 +57,7 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str)
 def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
     """Returns a 3D panel with a view from the left, slightly from the front and above. The camera follows a single car.
 
-    A single vehicle in the roll plane is shown from behind.
+    A single vehicle that moves in the roll plane is shown from behind.
     """
     low, high = np.array([run.scene.finite().extent() for run in seen]).swapaxes(0, 1)
     size = (high - low).max(axis=0)
@@ -65,8 +68,9 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
         "cameraState": {
             "distance": float(1.1 * max(length, 2 * size[2])),
             "perspective": True,
-            "phi": 75,  # degrees, relative to straight above
-            "thetaOffset": 109 if len(seen) == 1 and seen[0].scene.flat else 204,  # degrees, from behind or from the left
+            "phi": 75,  # degrees from the vertical
+            # Degrees; the view is from behind or from the left
+            "thetaOffset": 109 if len(seen) == 1 and seen[0].scene.flat else 204,
             "fovy": 45,
             "near": 0.1,
             "far": 500,
@@ -117,14 +121,14 @@ def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str)
 
 
 def _field(runs: Sequence[RunLog], curve: Curve, name: str) -> str:
-    """Returns the path of a field in a curve's topic. Special characters are quoted."""
+    """Returns the path of a signal in the topic of a curve, with special characters quoted."""
     path = topic(runs, curve.run, curve.topic)
     plain = re.fullmatch(r"[A-Za-z0-9_/-]+", path)
     return f"{path if plain else json.dumps(path, ensure_ascii=False)}.{name}"
 
 
 def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """Returns a single page unchanged, or adds a tab panel with several pages."""
+    """Returns a single page unchanged; for several pages, adds a tab panel that contains them."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"

@@ -1,4 +1,4 @@
-"""A run's scene and events as messages with Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
+"""Messages with a run's scene and events in Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
 
 After a jump in time, players use the last message of each topic. Every message of `/scene` and `/transforms` is therefore
 complete. The shapes do not change, and are written once to their own topic `/shapes`.
@@ -33,7 +33,7 @@ from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, stru
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
 SHORTEST = 1e-3  # length of the shortest arrow of a force that is drawn [m]
-# grid to which moving points are rounded [m], 0.25 mm; with it, they need a third of the space after compression
+# grid to which moving points are rounded [m], 0.25 mm; rounding reduces their compressed size to a third
 GRID = 2.0**-12
 
 Messages = Iterator[Any]
@@ -56,7 +56,7 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
     Args:
         run: run with finite frames.
         times: times of the frames [ns].
-        stand: position of the car in the world [m], shape (3,).
+        stand: position in the world at which the car is shown [m], shape (3,).
     """
     car = FrameTransform(
         parent_frame_id=WORLD,
@@ -101,7 +101,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
-    """Yields struts, tyres and arrows of control forces. A force of `largest` [N] has the longest arrow."""
+    """Yields struts, tyres and arrows of control forces. The arrow of a force of `largest` [N] has the full length."""
     scene = run.scene
     struts = [
         _pack_points(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)
@@ -119,7 +119,7 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
         tyres.append((tyre, surfaces, _pack_points(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     pushed = arrows(scene, largest).values()
     for index, time in enumerate(times):
-        # every part is created at its final place, because adding a part to a message copies it point by point
+        # each part is created inside its message, because adding a finished part would copy it point by point
         update = SceneUpdate()
         entity = _add_entity(update, time, frame(run), "struts")
         for look, points in zip(looks, struts, strict=True):

@@ -63,7 +63,8 @@ def write_mcap(
                 schemas[schema] = writer.register_schema(*schema)
             number = writer.register_channel(name, MessageEncoding.Protobuf, schemas[schema], described)
             messages += [(time, number, content) for time, content in zip(times, contents, strict=True)]
-        for time, number, content in sorted(messages, key=itemgetter(0)):  # players read a file from the beginning to the end
+        # Sorted by time, because players read a file from beginning to end
+        for time, number, content in sorted(messages, key=itemgetter(0)):
             writer.add_message(number, time, content, time)
         writer.finish()
 
@@ -73,10 +74,10 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
 
     Each response has a topic: `/mujoco` for a single run, or `/I/mujoco` for one of several runs. The topic has a message per
     sample with a double per signal, and log_time = publish_time = t in ns. The metadata of the channel contains unit, symbol
-    and meaning of every signal as JSON by name; the schema contains them as comments. `/difference` is MuJoCo minus sampled,
-    relative to the peak of each signal, in single precision. Other forces are in `/loads` and `/dampers`. Events are
-    `foxglove.Log` messages in `/events`. The moving car is in `/transforms`, `/shapes` and `/scene`, with Foxglove's published
-    schemas. Channels without messages are omitted.
+    and meaning of every signal as JSON by name; the schema contains them as comments. `/difference` contains the MuJoCo response
+    minus the sampled response, relative to the peak of each signal, in single precision. Other forces are in `/loads` and
+    `/dampers`. Events are `foxglove.Log` messages in `/events`. The moving car is in `/transforms`, `/shapes` and `/scene`, with
+    Foxglove's published schemas. Channels without messages are omitted.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
@@ -112,7 +113,7 @@ def _describe_signal(signal: Signal) -> str:
 def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Schema:
     """Returns the schema of a flat message of doubles or floats.
 
-    The schema has a number, because responses may have different signals.
+    The name of the schema contains a number, because responses may have different signals.
     """
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")
@@ -123,7 +124,7 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
             type=FieldDescriptorProto.TYPE_DOUBLE if kind == "<f8" else FieldDescriptorProto.TYPE_FLOAT,
             label=FieldDescriptorProto.LABEL_OPTIONAL,
         )
-        # Path of message 0 (field 4 of a file) and its field `index` (field 2 of a message). The text becomes a comment above
+        # Path to the field `index` (2 in a message) of message 0 (4 in a file). The text becomes a comment above
         # this field in the .proto file.
         file.source_code_info.location.add(
             path=(4, 0, 2, index),
@@ -134,7 +135,7 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
     return f"{PACKAGE}.{message.name}", SchemaEncoding.Protobuf, FileDescriptorSet(file=[file]).SerializeToString()
 
 
-@np.errstate(over="ignore")  # a difference too large for single precision is infinite
+@np.errstate(over="ignore")  # a difference too large for single precision becomes infinite
 def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
     """Yields every sample as a protobuf message of doubles, `<f8`, or of floats, `<f4`.
 
@@ -178,10 +179,10 @@ def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
             ("scene", scene.SceneUpdate, times, scene.moving_entities(run, times, largest)),
         ):
             contents = (message.SerializeToString() for message in messages)
-            if when or name == "events":  # an event panel needs its topic, even if there are no events
+            if when or name == "events":  # an event panel needs its topic even if there are no events
                 yield topic(runs, run, name), _published_schema(kind), {}, when, contents
         low, high = run.scene.extent()
-        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # cars stand in a row
+        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # the cars of all runs stand in a row
 
 
 def _published_schema(kind: type) -> Schema:

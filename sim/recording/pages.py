@@ -15,22 +15,22 @@ from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MEASURED_TOPIC, MU
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
 
-# Label, opacity and width by response. Rerun draws in the order of names, so MuJoCo's line comes last: a thin line within broad
-# lines.
+# Label, opacity and line width by response. Rerun draws in the order of names, so MuJoCo's line is drawn last, as a thin line
+# over broader lines.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
 NEUTRAL = "#8c8c8c"  # replaces the black of the report, because the user chooses whether viewers are dark or light
 LOG_COLOUR = "#ff9f1c"  # colour of a measured log
-# colours of curves that belong to no run
+# colours of curves that do not belong to a run
 PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]
 
 TRAVEL = "suspension_deflection"
 # signals on the first page, for one corner of a car
 OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")
 ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # units of the quantities on the last page
-UNGROUPED_SIGNALS = 8  # number of signals up to which they need no groups
-MOST_ACTIVE = 6  # number of plotted states of a controller; further states are only in the log
-CONTROLLER = "controller"  # name of the page with these states
-SEEN = 6  # largest number of plots on one page; more would be too flat
+UNGROUPED_SIGNALS = 8  # largest number of signals that are not divided into groups
+MOST_ACTIVE = 6  # largest number of plotted states of a controller; all other states are only in the log
+CONTROLLER = "controller"  # name of the page with the states of a controller
+SEEN = 6  # largest number of plots on one page; if there were more, each would be too flat
 GAP = "difference"  # topic of the differences
 DIFFERENCE = "difference: MuJoCo - sampled, relative to each signal's peak"
 
@@ -69,7 +69,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Page of plots: title, plots in rows, group of their signals, and differences of this group, shown below the plots."""
+    """Page of plots: title, plots in rows, group of the signals, and differences of this group, shown below the plots."""
 
     title: str
     plots: tuple[Plot, ...]
@@ -83,7 +83,7 @@ class Page:
 
 
 def colour_of(runs: Sequence[RunLog], run: RunLog) -> str:
-    """Returns the colour of a run's curves: as in the report, but grey instead of black."""
+    """Returns the colour of a run's curves, as in the report, but with grey instead of black."""
     color = styles(tuple(other.name for other in runs))[run.name].color
     return NEUTRAL if color == BLACK else color
 
@@ -125,8 +125,8 @@ def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
 
 
 def _compared_curves(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
-    # Rerun draws in the order of names. Lines become thinner towards the last name, so that a curve behind another remains
-    # visible.
+    # Rerun draws in the order of names. Lines become thinner in the order of the names, so that a curve behind another curve
+    # remains visible.
     names = sorted((run.name for run in runs), reverse=True)
     for run in runs:
         if signal.name in run.responses[MUJOCO].names:
@@ -135,7 +135,7 @@ def _compared_curves(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
 
 
 def _road(runs: Sequence[RunLog], quantity: str) -> Plot:
-    """Returns the plot of a road quantity. Equal curves, of several wheels or runs, are drawn once."""
+    """Returns the plot of a road quantity. If several wheels or runs have equal curves, the curve is drawn once."""
     curves: dict[bytes, Curve] = {}
     for run in runs:
         for name in (name for name in run.responses[MUJOCO].names if name.startswith(quantity)):
@@ -152,7 +152,10 @@ def _diagram(run: RunLog, one: "Diagram", color: str) -> Plot:
 
 
 def differences(run: RunLog, signals: Sequence[Signal]) -> tuple[Curve, ...]:
-    """Returns the curves of MuJoCo minus sampled for some signals. Signals without a difference are omitted."""
+    """Returns curves of the difference between MuJoCo and the sampled response for some signals.
+
+    Signals without a difference are omitted.
+    """
     names = [signal.name for signal in signals if run.gap is not None and signal.name in run.gap.names]
     return tuple(Curve(run, GAP, name, name.replace("_", " "), PALETTE[i % len(PALETTE)]) for i, name in enumerate(names))
 
@@ -168,8 +171,8 @@ def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
 
     The groups are the overview, all other signals and, for a single run, the states of its controller.
 
-    The overview shows the corner with the largest suspension travel. Many other signals are divided by type. Types with one or
-    two signals, such as heave and pitch, share a page.
+    The overview shows the corner with the largest suspension travel. If there are many other signals, they are divided by type.
+    Types with one or two signals, such as heave and pitch, share a page.
     """
     signals = [signal for signal in signals_of(runs) if not is_kept(signal) and not signal.name.startswith((*ROADS,))]
     named = {signal.name: signal for signal in signals}
@@ -183,7 +186,7 @@ def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
         kinds.setdefault(signal.name.split("_")[0] if len(others) > UNGROUPED_SIGNALS else "others", []).append(signal)
     small = [signal for kind in kinds.values() if len(kind) <= 2 for signal in kind]
     large = {name: kind for name, kind in kinds.items() if len(kind) > 2}
-    # the states of several controllers are different quantities
+    # the states of different controllers are different quantities
     active = runs[0].active[:MOST_ACTIVE] if len(runs) == 1 else ()
     kept = [signal for signal in signals_of(runs) if is_kept(signal) and signal.name in active]
     found = {"overview": overview, "car" if large else "others": small, **large, CONTROLLER: kept}

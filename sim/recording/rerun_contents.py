@@ -41,9 +41,9 @@ TIMELINE = "time"
 
 ROOM = 1.15  # half width of a diagram, relative to the largest value
 GROUND = 13  # red, green and blue of Rerun's background
-READ = 4000  # largest number of characters of a value in the metadata that a page shows; enough for the gain of 45 states
+READ = 4000  # largest number of characters that a page shows of a metadata value; enough for a gain from 45 states
 
-# Markers of events by text: shape, and a colour that no curve has. Other events have crosses.
+# Shape and colour of the marker of each event, by text; no curve has these colours. Other events are marked by crosses.
 MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
 ANY_MARKER = ("Cross", (225, 225, 225))
 
@@ -58,7 +58,7 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
-# share of a run's duration that is added after its end; otherwise a plot ends with its data and cuts off its last label
+# share of a run's duration that is added after the end; otherwise, a plot would end with the data and cut off the last label
 AFTER_END = 0.04
 
 
@@ -85,7 +85,10 @@ def curve_path(curve: Curve) -> str:
 
 
 def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve], ended: bool = True) -> None:
-    """Logs the curves of one response at a path. NaN shortly after the end makes a plot of these curves extend to that time."""
+    """Logs the curves of one response at an entity path.
+
+    NaN shortly after the end makes a plot of these curves extend to that time.
+    """
     time, values = curves[0].response.time, np.stack([curve.values for curve in curves], axis=-1)
     after = time[-1:] + AFTER_END * time[-1:] if ended else time[:0]
     values = np.concatenate([values, np.full((len(after), len(curves)), np.nan)])
@@ -97,8 +100,8 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     """Logs all data that is plotted: responses, differences, loads, and drawings of the diagrams.
 
-    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. MuJoCo minus sampled, relative to the peak
-    of each signal, is at `difference/<group>`. Loads over time are at `acting/loads/<load>`, and diagrams are at
+    A response is at `signals/<signal>/<response>`, in a shade of the run's colour. The difference MuJoCo minus sampled, relative
+    to the peak of each signal, is at `difference/<group>`. Loads over time are at `acting/loads/<load>`, and diagrams are at
     `acting/diagrams/<force>`.
     """
     for signal in signals_of([run]):
@@ -120,7 +123,7 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
     """Logs a force over its argument as a 2D drawing, because Rerun plots only over time.
 
-    The drawing has 2 by 2 units, with y downwards.
+    The drawing is 2 units wide and 2 units high; y points downwards.
     """
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
@@ -179,7 +182,7 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
 
 
 def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
-    """Logs metadata as properties, which programs can read. Documents show the same metadata to users."""
+    """Logs metadata as properties, which programs can read. Users see the same metadata in documents."""
     if metadata:
         recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
 
@@ -232,7 +235,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
 
     Args:
         run: run to log. Frames with values that are not finite are omitted.
-        largest: force whose arrow has full length [N].
+        largest: force whose arrow has the full length [N].
     """
     scene = run.scene.finite()
     recording.log(entity(run.name, "world"), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -285,7 +288,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
     looks = rr.LineStrips3D.from_fields(colors=[colour for _, colour in LINES], radii=[radius for radius, _ in LINES])
     recording.log(path, looks, static=True)
     lines = strut_lines(ends)
-    # A single array for all strips, because Rerun would convert them one by one.
+    # All strips are in a single array, because Rerun would convert separate strips one by one.
     points = rr.encodings.Vec3DBatch(np.concatenate(lines, axis=1).reshape(-1, 3).astype(np.float32)).as_arrow_array()
     ends_at = np.cumsum([0, *[line.shape[1] for line in lines] * len(time)])
     strips = pa.ListArray.from_arrays(ends_at, points, type=rr.components.LineStrip3DBatch([]).as_arrow_array().type)

@@ -39,10 +39,10 @@ from sim.recording.scene import largest_force
 SIGHT = np.array([-0.45, -1.0, -0.14])
 FROM_BEHIND = np.array([1.0, -0.35, -0.14])  # direction of view for a vehicle in the roll plane, slightly from the left
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # tangent of half of Rerun's vertical field of view
-SKY = (206, 214, 224)  # background colour that contrasts with black tyres
-ROUNDING = 1e-9  # relative to the other end of a curve's range; smaller values count as 0
-CARS = 3.6  # ratio of width to height of the space for all cars, in a window of 1600 x 900
-# width of a letter in this window, and number of letters in the certificate table without the names
+SKY = (206, 214, 224)  # background colour, against which black tyres are visible
+ROUNDING = 1e-9  # if one end of a curve's range is smaller than this share of the other end, it counts as 0
+CARS = 3.6  # ratio of width to height of the area for all cars, in a window of 1600 x 900
+# width of a letter in this window, and number of letters in a row of the certificate table, excluding the name
 LETTER, LETTERS = 6 / 1600, 34
 MARGIN = 0.04  # share of a plot's range that is added as a margin, so that no peak touches the border
 
@@ -55,7 +55,7 @@ def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
         root,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # The playback is slow and repeats, because a bump takes half a second.
+        # The playback is in slow motion and repeats, because crossing a bump takes only half a second.
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="All", playback_speed=0.25),
         auto_views=False,
     )
@@ -121,7 +121,8 @@ def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
     paths = {curve_path(curve): lines([curve]) for curve in plot.curves}
     signal = plot.curves[0].signal
     happened = [entity(run.name, "signals", signal, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)]
-    # With several runs, the plot with the legend has no events, because their markers would need further legend entries.
+    # If there are several runs, the plot with the legend shows no events, because their markers would need further legend
+    # entries.
     marked = happened if plot.curves[0].topic != LOADS and (len(runs) == 1 or not first) else []
     return _series(title, curves, first, origin="/", contents=[f"+ {path}" for path in (*paths, *marked)], overrides=paths)
 
@@ -138,7 +139,7 @@ def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents
 
 
 def _car(run: RunLog, aspect: float) -> rrb.View:
-    """Returns the view of a whole car in the direction `SIGHT`, for a given ratio of width to height."""
+    """Returns the view that shows a whole car in the direction `SIGHT`, for a given ratio of width to height."""
     sight = FROM_BEHIND if run.scene.flat else SIGHT
     sight = sight / np.linalg.norm(sight)
     right = np.cross(sight, [0.0, 0.0, 1.0])
@@ -174,7 +175,10 @@ def extremes_text(curves: Sequence[Array]) -> str:
 
 
 def value_axis(curves: Sequence[Array]) -> rrb.ScalarAxis | None:
-    """Returns an axis that contains all finite values of curves. None, which lets Rerun choose, if there are no finite values."""
+    """Returns an axis that contains all finite values of curves.
+
+    If there are no finite values, the result is None, and Rerun chooses the axis.
+    """
     low, high = extremes(curves) or (math.nan, math.nan)
     constant = high - low <= ROUNDING * max(abs(low), abs(high))
     margin = (abs(low) or 1.0) if constant else MARGIN * (high - low)
@@ -191,7 +195,8 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
     Args:
         path: path of the file; an existing file is overwritten.
-        runs: runs with distinct names. Frames with values that are not finite are omitted, so the car stops there.
+        runs: runs with distinct names. Frames with values that are not finite are omitted, so that the car stops at the last
+            finite frame.
         metadata: metadata of all runs.
 
     Raises:
@@ -201,9 +206,9 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
     # The viewer keeps one layout per application id. A layout fits only its own recording, because its plots have fixed ranges.
     digest = zlib.crc32(repr((metadata, [run.metadata for run in runs])).encode())
     application = re.sub(r"[^A-Za-z0-9_-]+", "-", f"roadproof-{'-'.join(run.name for run in runs)}-{digest:08x}")
-    recording = rr.RecordingStream(application, send_properties=False)  # the properties would only contain the time of writing
+    recording = rr.RecordingStream(application, send_properties=False)  # the properties would contain only the time of writing
     strict = rr.strict_mode()
-    rr.set_strict_mode(True)  # otherwise, Rerun only warns about data that it cannot log
+    rr.set_strict_mode(True)  # without strict mode, Rerun only warns about data that it cannot log
     try:
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)

@@ -1,4 +1,4 @@
-"""Recorded data of one run, which is the content of its log. `mcap_writer.py` and `run_records.py` define the format."""
+"""Recorded data of one run, which is the content of the run's log. `mcap_writer.py` and `run_records.py` define the format."""
 
 import re
 from collections.abc import Mapping
@@ -15,15 +15,16 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
-SIGNALS = 2  # version of the signals at a sample; logs without a version contain the signals of `RoadInput.earlier`
+# Version of the definition of signals at a sample; logs without a version follow the definition of `RoadInput.earlier`
+SIGNALS = 2
 NAME = re.compile(r"[\w-]{1,120}")  # name of a run: the name of its controller, with additions by a command
 RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
 # Topics of the responses of a run in an MCAP file, and entities in a Rerun file. In files and in result.json, the exact sampled
 # response is called `linear`; everywhere else it is called "sampled".
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
-LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of this format do not have them
+LOADS, DAMPERS = "loads", "dampers"  # topics of other forces, which older logs of this format do not have
 MEASURED_TOPIC = "measured"  # topic of a measured log, if present, with its own times
-WHOLE = ("bump", "drive")  # commands whose logs contain all runs of the result, so that the whole result can be recomputed
+WHOLE = ("bump", "drive")  # commands whose logs contain all runs, so that the whole result can be recomputed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class RunLog:
             name.
         other_signals: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
         diagrams: diagrams of damper and spring forces over velocity or deflection.
-        active: states of the controller, the largest contribution to the force first. Viewers show only the first ones.
+        active: states of the controller, the largest contribution to the force first. Viewers show only the first few states.
     """
 
     public_name = "a log, such as sim.run_log returns"
@@ -61,7 +62,7 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """Difference MuJoCo minus sampled, relative to the peak of each signal; None unless both responses exist."""
+        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None unless both exist."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings have no type stubs.
 
 
 FORMS = {
@@ -48,7 +48,7 @@ FRAMES = 60  # frames per second
 LONGEST = 60  # largest number of letters of a vehicle file's name in the name of a log
 
 BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start, and ahead of the first wheel at the end [m]
-SPACING, MOST = 0.05, 20_000  # spacing of the points of a profile [m], and their largest number without the points under wheels
+SPACING, MOST = 0.05, 20_000  # spacing of the points of a profile [m], and largest number of points apart from those under wheels
 
 
 def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
@@ -68,7 +68,8 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGENCE_LIMIT, axis=-1)]
-    heights = road_input.heights[frames]  # computing these heights again would be slow for a random road at uneven times
+    # The stored heights are used, because computing a random road at uneven times would be slow
+    heights = road_input.heights[frames]
     mocap = mocap_indices(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
     springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]
@@ -99,7 +100,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
 
 
 def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
-    """Returns the road profiles, one for all wheels on a common track; none for a test rig, whose posts are bodies.
+    """Returns the road profiles, one for each track; none for a test rig, whose posts are bodies.
 
     Args:
         places: positions of the wheels [m], shape (r, 3).
@@ -108,8 +109,8 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
     """
     if not len(time) or not road.laid:
         return ()
-    # Positions are compared to the micrometre. Wheels whose positions differ between drawing and parameters get their own
-    # profiles.
+    # Positions are compared with a tolerance of a micrometre. Wheels whose positions differ between drawing and parameters get
+    # their own profiles.
     wheels: dict[tuple[str, float, float], list[int]] = {}
     later = np.array(delays(road, vehicle))
     for i, wheel in enumerate(vehicle.kind.wheels):
@@ -118,7 +119,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
     first, last = -BEHIND / road.speed - later.max(), time[-1] + AHEAD / road.speed
     count = int(min(np.ceil((last - first) * road.speed / SPACING) + 1, MOST))
-    even = np.linspace(first, last, count)  # a random road is fast to compute at evenly spaced times
+    even = np.linspace(first, last, count)  # evenly spaced times, at which a random road can be computed quickly
     tracks = []
     for (side, start, middle), members in wheels.items():
         # The profile has a point at every wheel in every frame.
@@ -186,8 +187,8 @@ def record_runs(
         command_line: command line `python -m sim.COMMAND ...` that repeats the runs.
         vehicle: vehicle of the runs.
         controllers: names of the controllers, for the name of the log.
-        runs: runs by their name in the log.
-        result: result as for `--json`.
+        runs: runs, by their names in the log.
+        result: result of the command, as printed by `--json`.
         measured: measured signals over the time of the runs, if any.
 
     Returns:
@@ -280,7 +281,7 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
     Args:
         run: run that MuJoCo has simulated, not a run from a log.
         name: name of the run in the log.
-        measured: measured signals over the time of the run, if any. Signals that the vehicle does not have are omitted.
+        measured: measured signals over the time of the run, if any. Signals that do not exist for the vehicle are omitted.
 
     Returns:
         Responses, metadata, events, scene and verdict of the run.
@@ -330,7 +331,7 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
 
 
 def _active(run: Run) -> tuple[str, ...]:
-    """Returns the names of a controller's states, the largest peak contribution to the force in the sampled response first."""
+    """Returns the names of a controller's states, sorted by their largest contribution to the force in the sampled response."""
     if run.controller.linear is False:
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]

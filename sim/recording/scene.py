@@ -71,7 +71,7 @@ class Tyre:
 
     Attributes:
         name: name of the tyre, unique within its body.
-        body: name of the body that carries the tyre. The hub is at its origin.
+        body: name of the body that carries the tyre. The hub is at the origin of this body.
         radius: undeformed radius [m].
         half_width: half the width of the tyre [m].
         middle: middle of the tyre along the axle, as y in the frame of the body [m].
@@ -99,7 +99,7 @@ class Track:
 
     Attributes:
         middle: middle of the track, as y in the world [m].
-        position: positions of its points along x at time 0, ascending [m], shape (N,).
+        position: positions of the points along x at time 0, ascending [m], shape (N,).
         height: heights of the points [m], shape (N,).
         travelled_distance: distance by which the points have moved backwards in each frame [m], shape (F,).
         bodies: names of the pieces of road under the wheels, which other viewers show instead of the profile.
@@ -183,7 +183,7 @@ class Scene:
         return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-TURNS, POINTS = 6, 49  # turns and points of a coil
+TURNS, POINTS = 6, 49  # number of turns, and number of points, of a coil
 SECTORS = 40  # sectors of a tyre
 
 # Radius [m] and colour of the lines of a strut: coil, rod and tube.
@@ -198,7 +198,7 @@ ASPHALT, SIDE, PROFILE = ((104, 107, 113), (124, 127, 133)), (70, 72, 78), (250,
 
 
 def largest_force(scenes: Iterable[Scene]) -> float:
-    """Returns the largest control force of all scenes [N], which gives a common scale of their arrows."""
+    """Returns the largest control force in all scenes [N], which defines a common scale for the arrows."""
     forces = [np.abs(force).max() for scene in scenes for force in scene.finite().forces.values() if len(force)]
     return float(max(forces, default=0.0))
 

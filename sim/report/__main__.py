@@ -85,7 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
-        with Processes(processes(options.quick) if arguments is None else 0) as pool:  # no processes if Python calls `main`
+        # No child processes if `main` is called from Python
+        with Processes(processes(options.quick) if arguments is None else 0) as pool:
             results[title] = _write_report(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].scores})
     if len(subjects) > 1:
@@ -119,8 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str]]]":
     """Returns the vehicle and the controllers of each page, by title.
 
-    If a vehicle has both semi-active dampers and controllers that need force actuators, these controllers get a page of their
-    own.
+    If a vehicle has both semi-active dampers and controllers that need force actuators, these controllers get a separate page.
     """
     from sim.command.driving import read_vehicles
 
@@ -289,7 +289,7 @@ def _gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns the origin of a page by name: time, command, vehicle file and versions of packages."""
+    """Returns how a page was made, as texts by name: time, command, vehicle file and versions of packages."""
     from models.common.command import versions
 
     return {
@@ -365,7 +365,7 @@ def _files(page: "Page") -> "list[tuple[Figure | Table, tuple[str, ...]]]":
 
 
 def _others(page: "Page", folder: Path) -> list[str]:
-    """Returns the names of figures and tables in the folder that are not of this page. The command keeps these files."""
+    """Returns the names of figures and tables in the folder that do not belong to this page. The command keeps these files."""
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
     return sorted(name for name in there - own if not name.startswith("."))

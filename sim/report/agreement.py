@@ -25,8 +25,8 @@ from sim.studies.subject import BUMP_DURATION, Subject
 
 DIAGRAM_POINTS = 60  # approximate number of points of a MuJoCo run in a diagram
 ROOM = 1.15  # range of both axes, relative to the largest value
-MOST_ORDERS = 4  # largest number of controllers with an order of convergence, because each needs a run of twice the steps
-Finer = Mapping[str, SignalAgreement]  # agreement of a run at half the timestep, by signal
+MOST_ORDERS = 4  # largest number of controllers with an order of convergence, because each needs a run with twice as many steps
+Finer = Mapping[str, SignalAgreement]  # agreement of a run that is repeated at half the timestep, by signal
 NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
@@ -62,7 +62,7 @@ def _panel(scope: Subject, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 @np.errstate(over="ignore")  # the squares of an unstable loop overflow; tables print "-" for infinity
 def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
-    """Returns the section about the runs over the road: signals over time, and a table of peaks (bump) or metrics (own road).
+    """Returns the section about the runs: signals over time, and a table of peaks (over the bump) or metrics (over another road).
 
     Args:
         scope: subject of the report.
@@ -127,7 +127,8 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
     pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
     linear = not (scope.vehicle.parts.nonlinear or scope.vehicle.dampers)
-    prompt = scope.vehicle.implementation.undelayed  # if True, the sampled response converges to the continuous response
+    # Without delay and sample period, the sampled response converges to the continuous response
+    prompt = scope.vehicle.implementation.undelayed
 
     def settles(run: Run) -> bool:
         return linear and run.controller.linear and (prompt or not run.controller.acts)
@@ -184,7 +185,7 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
 
 
 def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
-    """Returns the order of convergence of a difference in the timestep; None if rounding, noise or geometry causes it.
+    """Returns the order with which a difference decreases with the timestep; None if rounding, noise or geometry causes it.
 
     Args:
         run: run at the timestep of the report.

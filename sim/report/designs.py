@@ -23,7 +23,7 @@ from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
-FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from below the body's natural frequency to above the wheel's
+FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from below the natural frequency of the body to above that of the wheel
 
 
 def design_section(scope: Subject) -> Document:
@@ -81,7 +81,7 @@ def _row(scope: Subject, one: Controller) -> Row:
 
 
 def _with_laws(scope: Subject, table: Table) -> Table:
-    """Returns the table of designs with a row for each law without a proof."""
+    """Returns the table of designs, extended by a row for each law without a proof."""
     empty = ["-"] * (len(table.headings) - 3)
     rows = ((one.name, ", ".join(one.measured).replace("_", " "), *empty, f"no linear claim ({one.kind})") for one in scope.laws)
     return replace(table, rows=(*table.rows, *rows))
@@ -101,8 +101,8 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     """Returns the table of a controller's gains with a row per measured signal; None if the controller measures nothing.
 
-    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency with the
-    amplitude of the force, or of all forces together, as in a Bode plot.
+    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. It contains
+    the amplitude of the force, or of all forces together, as in a Bode plot.
     """
     if not controller.measured:
         return None
@@ -164,7 +164,7 @@ def without_l(designer: Designer) -> Table:
 
 
 def other_ways(designer: Designer) -> Table:
-    """Returns the table about remark 5 of the paper: the two-step design compared with a genetic algorithm."""
+    """Returns the table about remark 5 of the paper, which compares the two-step design with a genetic algorithm."""
     columns: tuple[Field[Way], ...] = (
         Field("controller", lambda one: f"{one.controller}, {one.how}"),
         Field("work", lambda one: one.work),

@@ -1,4 +1,4 @@
-"""The section of a report about exported code: its content, and its effect in MuJoCo compared with the original control law."""
+"""The section of a report about exported code: its content, and how runs with the code differ from runs with the control law."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""The page of the gallery: published numbers compared with those of Roadproof by source, with figures of the responses."""
+"""The page of the gallery: published and computed numbers of each source, with figures of the responses."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values
 
 POINTS, MARKS = 800, 25  # approximate number of points of a drawn line, and of MuJoCo's markers
-BAND = 30.0  # factor from the published frequency to both ends of a drawn frequency response
+BAND = 30.0  # factor between the published frequency and each end of a drawn frequency response
 LOW, HIGH, ABOUT = 0.1, 100.0, 400  # lowest and highest frequency [Hz] of a singular value plot, and its number of points
 
 
@@ -42,7 +42,7 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
 
 
 def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
-    """Returns the section of an entry: its document with a figure of the responses from which its numbers come."""
+    """Returns the section of an entry: its document, with a figure of the responses that contain the numbers."""
     found, first = describe(entry, numbers), dict[tuple, PrintedNumber]()
     for one in (number.printed for number in numbers):
         first.setdefault((one.what in OF_A_RUN, one.vehicle, one.controller, one.signal, str(one.road), one.hertz), one)
@@ -55,7 +55,7 @@ def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
 
 
 def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) -> Panel | None:
-    """Returns a panel with the response from which a number comes; None if the number does not come from a response."""
+    """Returns a panel with the response that contains a number; None if the number is not part of a response."""
     designer = designer_of(entry, one)
     if one.what in OF_A_RUN:
         run, peaks = run_of_number(designer, one), [each.printed for each in numbers if each.printed.what == "peak"]

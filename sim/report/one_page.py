@@ -1,4 +1,4 @@
-"""The short report, to print or mail: a comparison of controllers over one road, with a table, verdicts and a figure."""
+"""The short report for printing or e-mail: a comparison of controllers over one road, with a table, verdicts and a figure."""
 
 from models.common.printed import brief
 from models.document.document import Document, Statement

@@ -43,11 +43,12 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
     Args:
         scope: subject of the report.
-        provenance: origin of the report by name, such as time and command.
+        provenance: texts by name that state how the report was made, such as time and command.
         begin: function that starts requests and returns a function that waits for their results, such as `Processes.begin`.
         progress: callback that receives the name of the current study.
     """
-    answers = begin(requests_of(replace(scope)), progress)  # a copy of `scope` without cached runs, which are large to transfer
+    # A copy of `scope` without the cached runs, which would be large to transfer
+    answers = begin(requests_of(replace(scope)), progress)
     progress(RUNS)
     runs, results = scope.runs, dict[str, dict[str, Any]]({name: {} for name in STUDIES})
     for (name, subject), result in answers().items():
@@ -71,7 +72,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
 
 def requests_of(scope: Subject) -> dict[Name, Any]:
-    """Returns the requests of a page by study and subject, the longest first. The requests are independent of each other."""
+    """Returns the requests of a page by study and subject, the longest request first. Requests are independent of each other."""
     studies = sorted((one(name) for name, one in STUDIES.load_all().items()), key=lambda one: -one.seconds)
     return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
 
@@ -82,7 +83,7 @@ def stages(scope: Subject) -> tuple[str, ...]:
 
 
 def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
-    """Returns the scores of all controllers over random roads or, without random roads, over the road of the page.
+    """Returns the scores of all controllers over random roads or, if there are none, over the road of the page.
 
     The passive vehicle comes first. A controller without runs over random roads, for example with an unstable loop, has a score
     without numbers.
@@ -96,7 +97,7 @@ def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Sc
 
 
 def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
-    """Returns the section about the origin of the page: all numbers of the vehicle file that affect it, and all settings."""
+    """Returns the section that states how the page was made: all settings, and all numbers of the vehicle file that matter."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
     if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven_controllers}]:

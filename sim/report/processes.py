@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.threads import cores
 
-if TYPE_CHECKING:  # only for types: at run time this would import nearly everything before the child processes start
+if TYPE_CHECKING:  # only for type checks: at run time, this would import nearly everything before the child processes start
     from sim.studies.study import Progress
 
-MOST = 3  # largest number of processes; more would not help, because the longest request takes as long
+MOST = 3  # largest number of processes; more would not help, because the longest request alone would take as long
 Name = tuple[str, str]  # name of a request: its study, and its subject within this study
 
 
 def processes(quick: bool) -> int:
-    """Returns the best number of processes: 0 on a single core, and 0 for a quick report, which is faster than the imports."""
+    """Returns the best number of processes: 0 on a single core, and 0 for a quick report, which takes less time than imports."""
     return 0 if quick else min(cores() - 1, MOST)
 
 
@@ -30,8 +30,9 @@ class Processes:
         """Starts `count` processes, which import the modules that most requests need."""
         self._pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent) if count else None
         if self._pool is not None:
-            block = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has no such function
-            block(signal.SIG_BLOCK, {signal.SIGINT})  # child processes inherit this, so that Ctrl-C reaches only this process
+            block = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows does not have this function
+            # Child processes inherit the blocked signal, so that Ctrl-C reaches only this process
+            block(signal.SIG_BLOCK, {signal.SIGINT})
             for _ in range(count):
                 self._pool.submit(_prepare)
             block(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -55,9 +56,9 @@ class Processes:
             progress: callback that receives the name of the current study.
 
         Returns:
-            Function that waits for all results and returns them by name. This function runs requests that no process has
-            started yet in the calling process, beginning with the last. If the pool breaks, it also runs the requests without a
-            result.
+            Function that waits for all results and returns them by name. While it waits, the calling process itself runs requests
+            that no other process has started yet, beginning with the last one. If the pool breaks, it also runs the requests
+            without a result.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:
@@ -97,7 +98,7 @@ def _prepare() -> None:
 
 
 def _end_with_parent() -> None:
-    """Ends this child when its parent ends, even if the parent is killed."""
+    """Ends this child process when its parent process ends, even if the parent is killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None, "this is a child"
     threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

@@ -1,4 +1,4 @@
-"""The first section of a report (requirements and comparison of controllers), and the section about verification."""
+"""The first section of a report, with requirements and the comparison of controllers, and the section about verification."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -66,7 +66,7 @@ def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score
 
 
 def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
-    """Returns the table of goals and limits in the vehicle file, and which controllers meet them; None if there are none.
+    """Returns a table of the vehicle file's goals and limits, with the controllers that meet them; None if there are none.
 
     A goal is compared with the proved value, and a limit with the run over the road.
     """
@@ -135,5 +135,5 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
 
 
 def _height(end: RegimeEnd) -> str:
-    """Returns the bump height at which the linear regime ends in MuJoCo, or a text if it differs from the predicted height."""
+    """Returns the bump height at which the linear regime ends in MuJoCo, or a text if this is not the predicted height."""
     return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

@@ -1,4 +1,4 @@
-"""Verdict on a run: do MuJoCo's steps follow the vehicle's equations, and its commands the control law?
+"""Verdict on a run: do the steps of MuJoCo follow the vehicle's equations, and the commands the control law?
 
 A run agrees if two local checks hold:
 
@@ -7,14 +7,15 @@ A run agrees if two local checks hold:
 2. Every command equals the command of the control law for the measurements of the run (`sim.observers.commands`). This check
    includes sampling, delay, noise, quantisation, limits and exported code.
 
-If both checks hold, the trajectory is that of the equations and the law. The distance from the linear response is then a
-measurement. The cause of this distance is the integrator, geometry, noise, or an event that ends the linear regime.
+If both checks hold, the trajectory is a solution of the equations and the law. The difference from the linear response is then a
+result, not an error. It is caused by the integrator, geometry, noise, or an event that ends the linear regime.
 
 Linear analysis applies to such a run because the equations are linear, or nearly linear, until this event. `LinearComparison`
-computes the distance only if it is needed. The verdict does not need it.
+computes the difference only if it is needed. The verdict does not need it.
 
-A vehicle type that rotates but has no equations of motion is compared to first order. The same road is driven at `SMALL` of its
-height, where the relative difference from the linear response must be smaller by the same factor.
+A vehicle type with rotating bodies but without equations of motion is checked to first order. The run is repeated on the same
+road with its height multiplied by `SMALL`, where the relative difference from the linear response must be smaller by the same
+factor.
 """
 
 import math
@@ -41,11 +42,12 @@ from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreem
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
 
-ROUNDING = 1e-9  # relative to a peak, over thousands of steps
-COARSEST = 1e-2  # relative to a peak; if RK4's own error is larger, the time step is too coarse for an accurate run
-SMALL = 1e-2  # share of the road height at which the effect of geometry must vanish
+ROUNDING = 1e-9  # rounding error over thousands of steps, relative to a peak
+COARSEST = 1e-2  # relative to a peak; if the error of RK4 is larger, the time step is too coarse for an accurate run
+SMALL = 1e-2  # factor on the road height at which the effect of geometry must vanish
 NO_REFERENCE = "no linear analysis"
-SLACK = 1.5  # factor for the predicted integrator error, which is a maximum over time for one of two nearly equal curves
+# Factor on the predicted integrator error, which is a maximum over time and is predicted for one of two nearly equal curves
+SLACK = 1.5
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,10 @@ class SignalAgreement:
     """Difference between one simulated signal and linear analysis, as long as linear analysis applies.
 
     Attributes:
-        sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN without such a
-            response.
-        continuous: largest difference from the continuous closed loop, which includes the effect of holding the force over a
-            step; relative to the peak, NaN without a response.
-        allowed: bound on `sampled` due to RK4's own error and rounding; NaN if the difference is only a measurement.
+        sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN if there is none.
+        continuous: largest difference from the response of the continuous closed loop, relative to its peak. The difference
+            includes the effect of holding the force over a step. NaN if there is no such response.
+        allowed: bound on `sampled` due to the error of RK4 and rounding; NaN if the difference has no bound.
         scale: value to which the differences are relative [unit of the signal].
         small: value of `sampled` for the same road at `SMALL` of its height; None if it was not needed.
     """
@@ -70,14 +71,17 @@ class SignalAgreement:
 
     @property
     def excess(self) -> float:
-        """Difference relative to the allowed value; at `SMALL` of the road height if the run was repeated there."""
+        """Difference relative to the allowed value.
+
+        If the run was repeated on a lower road (`SMALL`), it is the difference there.
+        """
         if self.small is None:
             return self.sampled / self.allowed
         return self.small / (SLACK * SMALL * self.sampled + self.allowed)
 
     @property
     def agrees(self) -> bool:
-        """True if the difference is allowed, or is only a measurement."""
+        """True if the difference is allowed, or has no bound."""
         return not self.excess > 1
 
 
@@ -89,7 +93,8 @@ class LinearComparison:
         prediction: linear responses of the run.
         physics: simulated response.
         until: time until which linear analysis applies [s]; infinite if it applies to the whole run.
-        small: simulated response for `SMALL` of the road height, or None. The linear responses are proportional to the height.
+        small: simulated response on the road with its height multiplied by `SMALL`, or None. The linear responses are
+            proportional to the height.
     """
 
     prediction: Prediction
@@ -99,7 +104,7 @@ class LinearComparison:
 
     @property
     def cause(self) -> str:
-        """Largest cause of the differences, as text."""
+        """Text that states the largest cause of the differences."""
         own = "rounding" if self.prediction.vehicle.parts.nonlinear and self.prediction.is_linear else "RK4's own error"
         return self.prediction.cause or own
 
@@ -120,12 +125,12 @@ class LinearComparison:
 
     @property
     def agrees(self) -> bool:
-        """False if the difference of an exactly linear run exceeds the error of RK4; otherwise True."""
+        """False if the run should be exactly linear, but a difference exceeds the error of RK4; otherwise True."""
         return all(signal.agrees for signal in self.signals.values())
 
     @property
     def coarse(self) -> bool:
-        """True if RK4's own error of the linear response exceeds `COARSEST`."""
+        """True if the error of RK4 in the linear response exceeds `COARSEST`."""
         rate, prediction = effect_on_states(self.prediction.vehicle)[0], self.prediction
         # In each step, RK4 replaces exp(z) by a polynomial with an error of z^5 / 120. Sharp knots of characteristics may
         # increase this error.
@@ -136,7 +141,7 @@ class LinearComparison:
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def _own_errors(self) -> dict[str, float]:
-        """RK4's own error of each signal, relative to the peak of the response without this error."""
+        """Error of RK4 in each signal, relative to the peak of the response without this error."""
         exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer
         integrated, exact = self.prediction.integrated.until(self.until), exact.until(self.until)
         return {name: _difference(integrated, exact, name) for name in self.prediction.vehicle.linear_model.outputs}
@@ -144,7 +149,7 @@ class LinearComparison:
     def _to_first_order(
         self, signals: Mapping[str, SignalAgreement], sampled: Response, physics: Response
     ) -> dict[str, SignalAgreement]:
-        """Adds the differences at `SMALL` of the road height, for a vehicle type that rotates but has no equations of motion."""
+        """Adds the differences on the lower road, for a vehicle type with rotating bodies but without equations of motion."""
         smaller = Response(sampled.time, sampled.signals, SMALL * sampled.values)
         rounding, done = roundings(self.prediction.vehicle, None), dict[str, SignalAgreement]()
         for name, signal in signals.items():
@@ -161,7 +166,8 @@ class Agreement(ShownResult):
         lift_off: intervals in which a tyre is off the ground [s].
         end_times: first time of each of `REGIME_ENDS` by name [s]; infinite if it does not occur.
         linear: differences from linear analysis, as long as it applies.
-        steps: comparison of the steps with the vehicle's exact equations, also after `until`; None without equations.
+        steps: comparison of all steps with the vehicle's exact equations, even after `until`; None if the vehicle has no
+            equations.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
             law.
         code_effect: difference between exported code and the law, which must be small; None without exported code.
@@ -193,12 +199,12 @@ class Agreement(ShownResult):
 
     @property
     def cause(self) -> str:
-        """Largest cause of the differences from linear analysis, as text."""
+        """Text that states the largest cause of the differences from linear analysis."""
         return self.linear.cause
 
     @property
     def coarse(self) -> bool:
-        """True if the time step is too coarse for accurate results, according to RK4's own error of the linear response."""
+        """True if the time step is too coarse for accurate results, according to the error of RK4 in the linear response."""
         return self.linear.coarse
 
     @property
@@ -210,7 +216,7 @@ class Agreement(ShownResult):
 
     @property
     def follows_linear(self) -> bool:
-        """False if the steps of a run cannot be checked, and the run differs from its linear response; otherwise True."""
+        """False if the steps of a run cannot be checked and the run differs from the linear response; otherwise True."""
         return self.steps is not None or self.linear.agrees
 
     @property
@@ -231,8 +237,8 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
-    # In a loop that grows threefold per step, a hub may pass through the road and back within a step. The predicted deflections
-    # show this.
+    # If the motion of a loop grows threefold per step, a hub may pass through the road and back within a step. The predicted
+    # deflections show whether this happens.
     if prediction.is_linear and _passes_through(vehicle, physics):
         foretold = dict(zip(END_NAMES, end_times(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
         if foretold < until:
@@ -257,7 +263,7 @@ def _passes_through(vehicle: Vehicle, physics: Response) -> bool:
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals in which any tyre is off the ground as first and last sample [s], in the order of their starts."""
+    """Returns the intervals in which any tyre is off the ground, each as first and last sample [s], in order of their starts."""
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
         off = np.concatenate([[False], limit.towards(limit.of(physics)) >= AT * limit.value, [False]])
@@ -269,8 +275,8 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 def first_loose(met: RoadInput, physics: Response) -> float:
     """Returns the first sample before which a tyre may have been off the ground within a step [s], or infinity.
 
-    MuJoCo holds the road at one height over a step, so a tyre may be shorter or longer within the step than at the samples. The
-    second difference of a hub's path bounds its curvature within a step, as the stages of RK4 evaluate it.
+    MuJoCo holds the road at one height over a step. Within the step, a tyre may therefore be shorter or longer than at the
+    samples. The second difference of a hub's path bounds its curvature within a step, as the stages of RK4 evaluate it.
     """
     vehicle, first, physics = met.vehicle, np.inf, from_steady(met, physics)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -289,7 +295,7 @@ def first_loose(met: RoadInput, physics: Response) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Returns the largest difference over time, relative to the reference's scale; 0 without motion, NaN without a reference."""
+    """Returns the largest difference over time relative to the reference's scale; 0 if nothing moves, NaN without reference."""
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))

@@ -1,4 +1,4 @@
-"""Runs of a vehicle's controllers, which can be given by their names in the vehicle file."""
+"""Runs of a vehicle with several controllers, which can be given by their names in the vehicle file."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -28,15 +28,15 @@ def run(
     duration: Time = 3.0,
     timestep: Time = USUAL_TIMESTEP,
 ) -> list[Run]:
-    """Simulates each controller over a road from equilibrium in MuJoCo, and compares with linear analysis.
+    """Simulates each controller over a road in MuJoCo, starting from equilibrium, and compares with linear analysis.
 
     Args:
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
             necessary. A function is also a control law. law(t, y) receives the time [s] and the q measurements, shape (q,). The
             function returns the force [N], a number or an array of shape (m,). A function law(sample, state) returns the force
             and the next state, as in a file. The function measures the signals in its attribute `measured` or, by default, all
-            measurable signals. An object with the methods of `sim.Driver` is also a control law. A single controller gives a
-            list with one run.
+            measurable signals. An object with the methods of `sim.Driver` is also a control law. For a single controller, the
+            result is a list with one run.
         road: road to drive over, for example `models.Bump(height=0.1)`.
         duration: duration of the run [s].
         timestep: time step of MuJoCo [s]. The time step is also the sample period of the controllers if the vehicle file does

@@ -16,18 +16,18 @@ from sim.drive.response import Response
 from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
-MOST = 1e-2  # relative to a peak; code that changes a signal by more does not implement the law
+MOST = 1e-2  # relative to a peak; if code changes a signal by more, it does not implement the law
 
 
 @dataclass(frozen=True, eq=False)
 class CodeEffect:
-    """Difference between a run with exported code and the run with the control law itself.
+    """Difference between a run with exported code and a run with the control law itself.
 
     Attributes:
         numbers: number format of the code, see `ExportedLaw`.
         apart: difference of each output signal at every sample by name, until one of the runs diverges.
         share: largest difference of all signals, relative to the scale of the signal, as long as linear analysis applies.
-        signal: name of the signal with this difference.
+        signal: name of the signal with the largest difference.
         law_agrees: True if the run with the law itself agrees with the model.
         clipped_readings: names of measurements that exceed their fixed-point range, where the code clips them.
     """
@@ -41,7 +41,7 @@ class CodeEffect:
 
     @property
     def agrees(self) -> bool:
-        """True if the run with the law agrees with the model, and the run with the code is close to it."""
+        """True if the run with the law agrees with the model, and the run with the code is close to the run with the law."""
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:

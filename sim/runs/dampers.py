@@ -1,4 +1,4 @@
-"""Missing force in a run: the part of the requested force that semi-active dampers did not supply."""
+"""Missing force in a run: the part of the requested forces that semi-active dampers could not supply."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,13 +15,14 @@ from sim.linear.dampers import closing_velocities, commands_of, squarable
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Force that a semi-active damper did not supply, at the samples of its controller.
+    """Requested force that a semi-active damper did not supply, at the samples of the controller.
 
     Attributes:
-        rms: rms of the missing force, relative to that of the requested force; 0 if no force was requested.
+        rms: rms of the missing force relative to the rms of the requested force; 0 if no force was requested.
         time: share of the samples at which force is missing.
-        softest, hardest: smallest and largest coefficient of the damper [N s/m], or voltage [V].
-        late: missing force including the lag of the valve, relative as `rms`; None if the valve has no lag.
+        softest, hardest: smallest and largest damping coefficient [N s/m], or smallest and largest voltage [V].
+        late: rms of the missing force including the lag of the valve, relative to the same rms as `rms`; None if the valve has no
+            lag.
     """
 
     rms: float
@@ -32,7 +33,7 @@ class Shortfall:
 
 
 def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
-    """Returns the missing force of every semi-active damper in a run until it diverges, by force."""
+    """Returns the missing force of each semi-active damper until the run diverges, by name of the force."""
     whole = physics.until(physics.diverged)
     if not vehicle.dampers or len(whole.time) < 2:
         return {}

@@ -1,9 +1,9 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
-In a linear loop, the modes determine the motion from sample to sample. The signals of the states at a few successive samples
-therefore follow from their previous values by a matrix, which is found by least squares. The eigenvalues of this matrix belong
-to the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With
-characteristics or large angles, the result is the linear loop that fits the whole decay best.
+In a linear loop, the modes determine the motion from sample to sample. A constant matrix therefore maps the state signals at a
+few successive samples to their values one sample later. This matrix is found by least squares, and its eigenvalues are those of
+the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With characteristics
+or large angles, the result is the linear loop that fits the whole decay best.
 """
 
 import math
@@ -18,9 +18,9 @@ from sim.linear.rounding import effect_on_states
 from sim.runs.result import RunResult
 
 PER_PERIOD = 8  # samples per period of the vehicle's fastest mode
-LATER = 3  # number of successive samples, so that states that are not signals are included, too
-SMALLEST = 1e-6  # relative to the largest singular value; smaller ones are removed
-SHARE = 0.01  # share of the energy of the decay; a mode with a smaller share is not reported
+LATER = 3  # number of successive samples; with several samples, states that are not signals are also included
+SMALLEST = 1e-6  # relative to the largest singular value; smaller singular values are removed
+SHARE = 0.01  # a mode with a smaller share of the energy of the decay is not reported
 FEWEST = 40  # smallest number of samples of a decay
 
 FREQUENCY = Field[float]("frequency", float, ".4g", unit="Hz")
@@ -35,7 +35,7 @@ class Mode:
     Attributes:
         frequency: undamped natural frequency |s| / (2 pi) [Hz].
         damping_ratio: -Re s / |s|; 1 for a mode that does not oscillate.
-        share: share of the energy of the signals, each relative to its peak, that belongs to this mode.
+        share: share of this mode in the energy of the signals, each relative to its peak.
     """
 
     frequency: float
@@ -52,7 +52,7 @@ class Mode:
 
 
 def is_free(run: RunResult) -> bool:
-    """Returns True for a run from a given start, over a flat road and without loads."""
+    """Returns True if a run begins from a given start, on a flat road and without loads."""
     on = run.prediction.input
     return bool(run.vehicle.start) and not on.heights.any() and not on.loaded
 

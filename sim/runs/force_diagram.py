@@ -25,7 +25,7 @@ class Line:
     """Line in a diagram.
 
     Attributes:
-        signal: signal in a log with the force of the line at the actual argument.
+        signal: name of the log signal that contains the force of this line at the actual argument.
         label, dash, width: label and style of the line.
         force: function that returns the force [N] at arguments.
     """
@@ -48,7 +48,7 @@ class Diagram:
         x: function that returns the argument in a response, shape (T,).
         force: function of the argument and a response that returns the force, positive if it contracts the suspension [N],
             shape (T,).
-        lines: lines of the diagram.
+        lines: lines to draw in the diagram.
     """
 
     title: str
@@ -61,7 +61,7 @@ class Diagram:
 
 
 def diagrams(vehicle: Vehicle) -> list[Diagram]:
-    """Returns the diagrams of a vehicle's characteristics, followed by those of its semi-active dampers."""
+    """Returns the diagrams of a vehicle's characteristics, followed by the diagrams of its semi-active dampers."""
     adjusted = {vehicle.kind.deflection_of(adjustable.force) for adjustable in vehicle.parts.adjustable}
     alone = [fitted for fitted in vehicle.parts.with_curve if not fitted.damps or fitted.deflection not in adjusted]
     of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.parts.adjustable]

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 
 INVALID_EQUATIONS = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
-FEW = 3  # number of controllers that get separate statements; with more, the output would not fit into a terminal
+FEW = 3  # largest number of controllers with separate statements; for more, the output would not fit into a terminal
 NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
 LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
@@ -71,8 +71,8 @@ ENERGY: tuple[Field[Energy], ...] = (
     RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="left over"),
     Field("allowed", attrgetter("allowed"), "{:.1e}".format),
 )
-FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop
-HALF = 0.5  # share of the requested force; if dampers miss more, linear analysis does not describe the run
+FAR_OFF = 100.0  # multiple of a peak; if the error of a linearisation is larger, its loop is unstable
+HALF = 0.5  # share of the requested force; if more is missing, linear analysis does not describe the run
 COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 OF_CODE = Field[str]("difference", str, ".2g")
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
@@ -92,7 +92,7 @@ BALANCE = Record[Energy](
 
 
 def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
-    """Returns a function that returns one of the two local checks for JSON, or None if the check is not made."""
+    """Returns a function that returns the result of a local check for JSON; None if the check is not made."""
     return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
 
 
@@ -139,7 +139,7 @@ def controller_record(controller: AnyController) -> dict[str, Any]:
     return {**controller.record, **claims(controller.certificate), **GROWTH(controller)}
 
 
-RUN = np.errstate(over="ignore")(  # the squares of an unstable loop's signals overflow; infinite values become None
+RUN = np.errstate(over="ignore")(  # the squares of an unstable loop's signals overflow; infinite values are written as None
     Record[RunResult](
         Record(
             controller=lambda run: controller_record(run.controller),
@@ -222,7 +222,7 @@ def claims(controller: AnyController) -> str:
 
 
 def verdict(run: RunResult) -> Statement:
-    """Returns a short verdict on a run: its checks, the range of linear analysis, and its energy balance."""
+    """Returns a short verdict on a run: the checks, the range of linear analysis, and the energy balance."""
     agreement, energy, words = run.agreement, run.energy, list[str]()
     steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
     if run.physics.law_diverged and not run.passed:
@@ -316,9 +316,9 @@ def joined_names(names: Sequence[str]) -> str:
 
 
 def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
-    """Returns sentences on the events of a run, its checks, its distance from linear analysis, and its energy balance.
+    """Returns sentences on a run: its events, checks, differences from linear analysis, and energy balance.
 
-    The sentences on a run that passes and remains in the linear range are details.
+    If a run passes and remains in the linear range, all its sentences are details.
 
     Args:
         full: False to omit details, which need the linear responses.
@@ -329,7 +329,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     if not full and detail == "full":
         return stops
     said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
-    if not run.physics.law_diverged or run.passed:  # otherwise, rounding determines the forces of the law
+    if not run.physics.law_diverged or run.passed:  # otherwise, the forces of the law are only rounding errors
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
     return (*stops, *(replace(one, detail=detail) for one in said))
@@ -412,7 +412,7 @@ def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
 
 
 def _distance(run: RunResult) -> Iterator[Statement]:
-    """Yields sentences on the distance from linear analysis and its cause."""
+    """Yields sentences on the differences from linear analysis and their cause."""
     agreement, signals = run.agreement, run.agreement.signals
     if not run.prediction.is_linear:
         yield Statement(f"{NO_REFERENCE}: a law that sets semi-active dampers is not linear, even at small amplitudes")
@@ -526,11 +526,12 @@ def _decay_words(run: RunResult) -> list[str]:
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns the table of peak and rms of all signals, their differences from linear analysis, and changes from passive."""
     rows, on = [], run.prediction.input
-    still = not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start  # on a flat road, all motion is rounding
+    # On a flat road, all motion is due to rounding errors
+    still = not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start
     for name, signal in run.agreement.signals.items():
         was = None if still else passive
         if was is not None and was.peak(name) < was.scale(name):
-            was = None  # a signal that symmetry keeps at zero contains only rounding errors
+            was = None  # if symmetry keeps a signal at zero, it contains only rounding errors
         for kind, sizes in (("peak", SIZES[:3]), ("rms", SIZES[3:])):
             numbers = ["-" if math.isfinite(run.diverged) else field.cell((run, name)) for field in sizes]
             apart = [DIFFERENCE.digits(one) if kind == "peak" else "" for one in (signal.sampled, signal.continuous)]
@@ -572,7 +573,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
 
 
 def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
-    """Returns a sentence on exported code and its distance from the control law; an empty list without exported code."""
+    """Returns a list with a sentence on how exported code differs from the control law; empty without exported code."""
     if effect is None:
         return []
     line = f"the controller runs as compiled code in {effect.numbers}"

@@ -19,7 +19,7 @@ from synth.controller.controller import AnyController
 
 COARSE = "the timestep is too coarse for accurate numbers"
 NOT_REPEATABLE = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
-ADVICE = {  # reasons why a run is undecided, and what the user can do
+ADVICE = {  # reasons why a run is undecided, each with advice for the user
     COARSE: "give a smaller timestep",
     NOT_REPEATABLE: "seed its random numbers, and keep its state in `state`, or reset the state in a method reset()",
 }
@@ -98,7 +98,7 @@ class RunResult:
 
     @cached_property
     def line_errors(self) -> Mapping[str, float]:
-        """Largest difference of the linearisation at equilibrium from MuJoCo by signal, relative to MuJoCo's peak.
+        """Largest difference between the linearisation at equilibrium and MuJoCo, relative to MuJoCo's peak, by signal.
 
         The difference is measured until the linear regime ends for another reason. The mapping is empty for a vehicle without
         characteristics, or without a sampled response. States of parts with a kink at equilibrium are omitted.
@@ -119,14 +119,14 @@ class RunResult:
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Reasons why the checks cannot confirm the run: the time step is too coarse, or the law is not repeatable."""
+        """Reasons why the checks cannot confirm the run: a time step that is too coarse, or a law that is not repeatable."""
         commands = self.agreement.commands
         coarse = self.agreement.coarse or (self.energy is not None and not self.energy.judged)
         return (*[COARSE] * coarse, *[NOT_REPEATABLE] * (commands is not None and not commands.repeatable))
 
     @property
     def agrees(self) -> bool | None:
-        """True if the simulation agrees with its analysis, as long as this applies; None if the run is `undecided`."""
+        """True if the simulation agrees with analysis, as long as the analysis applies; None if the run is `undecided`."""
         return None if self.agreement.agrees and self.undecided else self.agreement.agrees
 
     @property

@@ -34,14 +34,17 @@ if TYPE_CHECKING:
     from sim.drive.driver import RunDriver
     from sim.runs.code_effect import CodeEffect
 
-RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step; the exact value is 2.785
+RK4_REACH = 2.7  # largest product of rate and step of a first-order lag for which RK4 is stable; the exact value is 2.785
 MOST_SAMPLES = 1_000_000  # largest number of samples; a run with this number takes 0.4 GB and half a minute
 STIFF = 1e-4  # s; no vehicle in SI units needs a shorter time step
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(RunResult, ShownResult):
-    """Simulated run with its prediction, which can be displayed at a prompt and in a notebook. Attributes as for `RunResult`."""
+    """Simulated run with its prediction, which can be displayed at a prompt and in a notebook.
+
+    The attributes are those of `RunResult`.
+    """
 
     @property
     def summary(self) -> Document:
@@ -119,11 +122,11 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows, which its run records
+@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow; the run records this
 def run_controllers(
     vehicle: Vehicle, controllers: Sequence[AnyController], road: Road, time: Array, balanced: bool = True
 ) -> list[Run]:
-    """Simulates each controller over a road from equilibrium, and compares the responses with linear analysis.
+    """Simulates each controller over a road, starting from equilibrium, and compares the responses with linear analysis.
 
     Args:
         time: equidistant sample times from 0 [s], see `sample_times`.
@@ -152,9 +155,8 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
 def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> list[Run]:
     """Returns the verdicts on runs.
 
-    A run with exported code is also compared with the run of the law itself. A run of a vehicle type that rotates but has no
-    equations of motion is also compared with a run at a share of the road height. This function simulates these additional
-    runs.
+    A run with exported code is also compared with the run of the law itself. If a vehicle type has rotating bodies but no
+    equations of motion, its run is also compared with a run on a lower road. This function simulates these additional runs.
 
     Args:
         predictions: predictions over the same sample times, for vehicles of the same type.
@@ -230,10 +232,10 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
 def _simulate_predictions(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> list[Recording]:
-    """Simulates the runs of predictions, if requested with changed vehicles and a share of the road height.
+    """Simulates the runs of predictions; on request, with changed vehicles or with the road height multiplied by a share.
 
     Vehicles and roads that runs share remain shared. The commands of a Python control law, or of a noisy run, are repeated.
-    With a share of the road height, the same share of the forces is repeated.
+    If the road height is multiplied by a share, the repeated forces are multiplied by the same share.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -247,7 +249,7 @@ def _simulate_predictions(
 
 
 def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
-    """Returns the driver that repeats a run: its law, or its commands if the law would respond differently at another time step.
+    """Returns the driver that repeats a run: the law, or the commands if the law would respond differently at another time step.
 
     Args:
         time: sample times of the repeated run [s]. The time step divides that of the prediction.

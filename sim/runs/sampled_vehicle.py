@@ -1,4 +1,4 @@
-"""Vehicle with other values of its parameters, of its semi-active dampers and of its force elements."""
+"""Vehicle with other values for its parameters, semi-active dampers and force elements."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,11 +8,11 @@ from models.characteristics.adjustable_range import CURVE_KEYS
 from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 
-OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators] that are varied, too
+OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators] that are also varied
 
 
 def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
-    """Returns the value and the forces of each varied damper parameter by name.
+    """Returns for each damper parameter that can be varied its value and its forces, by name.
 
     There is one entry per damper with a number, and one for all dampers if their values are equal.
     """

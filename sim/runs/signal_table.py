@@ -10,7 +10,7 @@ from models.document.reading import write_rows
 from sim.drive.response import Response
 from sim.runs.result import RunResult
 
-Column = tuple[str, Array]  # heading, and values over time
+Column = tuple[str, Array]  # heading of a column, and its values over time
 
 
 def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column]:
@@ -36,7 +36,7 @@ def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
     """Writes columns over time. Cells without a finite number, and cells after the end of a column, are empty.
 
     Args:
-        path: path of the file. The file gets this name after it is complete.
+        path: path of the file. The file is written under another name, and gets this name when it is complete.
         time: times of the longest column [s].
 
     Raises:

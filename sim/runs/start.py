@@ -1,10 +1,10 @@
-"""Effect of the unknown road before a measured road on the peaks of a run.
+"""Effect on the peaks of a run of the unknown road that comes before a measured road.
 
-A vehicle starts in steady motion on the plane of the first 11 m of the road. In reality, it comes from a road that was not
-measured. This road may be as rough as the measured road itself. The model of the unknown road is the measured road, turned
-about its first point, so that the two roads meet without a jump or a kink. The vehicle without control arrives from this road
-in a certain state. The difference of this state from the steady motion decays in the run's loop, and affects the run while it
-lasts.
+A simulated vehicle starts in steady motion on the plane that is fitted to the first 11 m of the road. In reality, the vehicle
+comes from a road that was not measured. This road may be as rough as the measured road itself. The model of the unknown road is
+the measured road, rotated by 180 degrees about its first point. The two roads therefore meet without a jump or a kink. The
+vehicle without control arrives from this road in a certain state. The difference of this state from the steady motion decays in
+the run's loop, and affects the run while it lasts.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,10 @@ from sim.linear.rounding import roundings
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
-RUN_IN = 10.0  # s; longest duration on the turned road
+RUN_IN = 10.0  # s; longest duration on the rotated road
 SAID_SHARE = 0.02  # share of a peak above which the effect is reported
-ROUNDING_FACTOR = 1e3  # multiple of the rounding error of a state or a signal; a smaller effect counts as zero
+# If an effect is smaller than this multiple of the rounding error of a state or a signal, it counts as zero
+ROUNDING_FACTOR = 1e3
 
 
 def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
@@ -57,7 +58,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
             if (peak := float(physics.peak(signal))) > ROUNDING_FACTOR * least[
                 signal
-            ]:  # otherwise the peak is a rounding error, as in a run without motion
+            ]:  # otherwise, the peak is only a rounding error, as in a run without motion
                 effects.append((left / peak, f"the peak of {run.controller.name}'s {signal} at {WHEN.text(k * h)}"))
     worst = max(effects)
     return worst if worst[0] > SAID_SHARE else None

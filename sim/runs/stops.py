@@ -1,4 +1,4 @@
-"""Bump stops that a run reaches: compression, force and time of each contact."""
+"""Bump stops that are reached in a run: compression, force and time of the deepest contact."""
 
 from dataclasses import dataclass
 
@@ -41,7 +41,7 @@ TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s
 def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns the deepest simulated contact with every stop, by deflection and side; None without contact.
 
-    Only the part of a run before it becomes invalid counts.
+    Only the part of a run before it becomes invalid is considered.
     """
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}

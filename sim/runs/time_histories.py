@@ -1,4 +1,4 @@
-"""Plots of signals over time: lines for analysis with points for MuJoCo, and lines for MuJoCo after the linear regime."""
+"""Plots of signals over time. Lines show analysis, and points MuJoCo; after the linear regime, lines show MuJoCo."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,9 +17,9 @@ from sim.runs.result import RunResult
 
 POINTS = 24  # number of points for MuJoCo
 OF_LINE = 600  # number of points of a line
-NAMED_RUNS = 2  # number of runs that leave the axis and are named in the title
+NAMED_RUNS = 2  # largest number of runs that leave the axis and are named in the title
 LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # line widths [points]; `FAINT` is relative
-# number of oscillations of a line that remains readable; a run with more gets additional panels of its hardest part
+# largest number of oscillations that are readable in a line; for a run with more, additional panels show its hardest part
 MOST_SWINGS = 80
 
 
@@ -32,7 +32,7 @@ class _Trace:
         name: name of the signal.
         bounded: True if the run remains valid and its loop is not unstable.
         line: linear response; up to the end of the linear regime if the run is not bounded.
-        physics: simulated response until the run becomes invalid.
+        physics: simulated response, up to the time at which the run becomes invalid.
     """
 
     run: RunResult
@@ -59,9 +59,9 @@ class _Trace:
         return float(self.physics.time[outside.argmax()]) if outside.any() else math.inf
 
     def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
-        """Returns the lines and the points, about one per `every` samples, until the signal leaves the axis.
+        """Returns lines, and points at about every `every`-th sample, until the signal leaves the axis.
 
-        The line shows the linear response until the linear regime ends, and the simulation from then on. The linear response
+        The line shows the linear response until the linear regime ends, and the simulation after that. The linear response
         continues as a thin line.
         """
         who, curves = self.run.controller.name, []
@@ -92,7 +92,7 @@ def _line(time: Array, values: Array, style: Style, width: float, label: str, na
 
 
 def _marker_indices(values: Array, every: int) -> Array:
-    """Returns the indices of samples to mark: one per `every` samples, moved to a peak if one is near, and both extremes."""
+    """Returns the indices of samples to mark: about every `every`-th sample, at a peak if one is near, and both extremes."""
     if not len(values):
         return np.zeros(0, dtype=int)
     marked = [int(values.argmax()), int(values.argmin())]
@@ -165,7 +165,7 @@ def _weighted_signals(runs: Sequence[RunResult]) -> dict[str, Signal]:
 
 
 def _moves(run: RunResult, name: str) -> bool:
-    """Returns False if the vehicle does not have the signal, or the signal is zero, as roll on a symmetrical road."""
+    """Returns False if the vehicle does not have the signal, or the signal is zero, like roll on a symmetrical road."""
     if not any(signal.name == name for signal in run.physics.signals):
         return False
     peak = float(run.physics.peak(name))
@@ -224,7 +224,7 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
 
 
 def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
-    """Returns the part of the time around the largest peak of the first weighted signal [s]; None if the runs need no such part.
+    """Returns the part of the time around the largest peak of the first weighted signal [s]; None if no such part is needed.
 
     This part contains about `MOST_SWINGS` oscillations of the signal that oscillates most often.
     """
@@ -261,7 +261,7 @@ def _least(runs: Sequence[RunResult]) -> str:
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:
-    """Returns the values that an axis must contain: all bounded values, and other values up to three times the same range.
+    """Returns the values that an axis must contain: all bounded values, and other values up to three times their range.
 
     If no run is bounded, the values of the linear regime are used instead.
     """

@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 
 def command_of(name: str) -> str:
-    """Returns the command of a study as it follows `python -m`: `sim.NAME` if this module exists, otherwise `sim NAME`.
+    """Returns the text that follows `python -m` for a study: `sim.NAME` if this module exists, otherwise `sim NAME`.
 
     Args:
         name: name of the study in `STUDIES`.

@@ -1,7 +1,7 @@
-"""Interface of a study, which defines a computation and how its result is shown.
+"""Interface of a study. A study defines a computation and the output of its result.
 
-A row in `models.common.extensions` makes a study a command and a part of the report. The module of a study imports others
-inside its methods, so that help pages appear without delay.
+A study becomes a command or a part of the report by a row in `models.common.extensions`. The module of a study imports other
+modules inside its methods, so that help pages appear without delay.
 """
 
 from argparse import Namespace
@@ -52,9 +52,10 @@ class Study(Generic[R]):
         name: name of the study in `STUDIES`.
         description, epilog: texts of `--help`. The epilog contains exit codes and examples.
         page: documentation page about the printed output.
-        takes: "one" if the command needs one linear controller, "several" if it takes any controllers, "" if it has no vehicle.
+        takes: "one" if the command needs one linear controller, "several" if it accepts any controllers, "" if it uses no
+            vehicle.
         usual: default of `--controller` for a command that takes several controllers.
-        stages: names of the stages of `run`, which `run` passes to `progress`.
+        stages: names of the stages that `run` passes to `progress`.
         seconds: approximate duration of the longest request of a report [s]. Long requests start first.
     """
 
@@ -147,11 +148,11 @@ class Study(Generic[R]):
         return {}
 
     def for_page(self, result: R) -> Any:
-        """Returns the part of a result that the report needs; picklable, because it may come from another process."""
+        """Returns the part of a result that the report needs. It must be picklable, because it may come from another process."""
         return result
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":
-        """Returns the sections of this study in the report. By default, these are the results, which must then be documents.
+        """Returns the sections of this study in the report: by default the results, which must then be documents.
 
         Args:
             scope: subject of the report.

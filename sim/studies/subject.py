@@ -1,4 +1,4 @@
-"""Subject of a report: the vehicle, its controllers, their runs over the road, and other results that several sections use."""
+"""Subject of a report: the vehicle, the controllers, their runs over the road, and other results that several sections use."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from synth.controller.report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s, duration of the run over the bump
-COARSER = 2.5  # largest timestep of the map, relative to the timestep of the report
+COARSER = 2.5  # largest timestep for the map, relative to the timestep of the report
 AMPLITUDE = 1e-4  # m, amplitude of the sinusoidal roads for frequency responses
 SPEED, SEEDS = 20.0, (0, 1, 2, 3)  # speed [m/s] and seeds of the random roads
 AVERAGE = "C"  # road class on which the report compares the controllers
@@ -33,8 +33,8 @@ AVERAGE = "C"  # road class on which the report compares the controllers
 class Subject:
     """Subject of a report.
 
-    Designs and certificates refer to the *ideal loop*, which is continuous and has no limits. MuJoCo simulates the *implemented
-    loop* with `[limits]` and `[implementation]` of the vehicle file.
+    Designs and certificates are for the *ideal loop*, which is continuous and has no limits. MuJoCo simulates the *implemented
+    loop*, which includes `[limits]` and `[implementation]` of the vehicle file.
 
     Attributes:
         vehicle: the vehicle.
@@ -126,7 +126,7 @@ class Subject:
 
     @cached_property
     def stable(self) -> list[Controller]:
-        """Linear controllers with a stable implemented loop. Without sample period and delay, the ideal loop is stable, too."""
+        """Linear controllers with a stable implemented loop."""
         return [
             one
             for one in self.controllers
@@ -155,12 +155,12 @@ class Subject:
 
     @property
     def margins_timestep(self) -> float:
-        """Timestep for the margins [s]: the default of `python -m sim.margins`, or that of the report if it is smaller."""
+        """Timestep for the margins [s]: the smaller one of the default of `python -m sim.margins` and the report's timestep."""
         return min(TIMESTEP, self.timestep)
 
     @property
     def map_timestep(self) -> float:
-        """Timestep for the runs of the map [s]: about twice that of the report, and a divisor of the sample period."""
+        """Timestep for the runs of the map [s]: about twice the report's timestep, and a divisor of the sample period."""
         period = self.vehicle.implementation.sample_period or 2 * self.timestep
         step = period / math.ceil(period / (COARSER * self.timestep) - 1e-9)
         try:

@@ -20,21 +20,21 @@ from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
 
-NEARLY = 1 - 1e-6  # share of a limit that counts as reached, because the limit is smaller after rounding to float
+NEARLY = 1 - 1e-6  # share of a limit at which it counts as reached, because rounding to float may make the limit smaller
 
 
 class CodeDriver:
     """Exported code of N runs, each with its own state.
 
-    The code gives the commands. The forces that limits and dampers cut off come from the law itself, from the same measurements
-    and the states of the code. These lost forces are recorded as in a run with the law.
+    The code computes the commands. The forces that limits and dampers cut off are computed by the law itself, from the same
+    measurements and the states of the code. These lost forces are recorded as in a run with the law.
     """
 
     ahead = 0
     requests: Request = "commands"
 
     def __init__(self, controllers: Sequence[Controller | SemiActive], *_: object) -> None:
-        """Takes N controllers that have the same code, for their own vehicles."""
+        """Prepares N controllers that have the same code; each has its own vehicle."""
         self._controllers = controllers
         self._codes: list[ExportedCode] = [one.code for one in controllers]
         self._law, own = self._codes[0].law, controllers[0].law_key[0]
@@ -61,7 +61,8 @@ class CodeDriver:
 
             self.measured = (*self.measured, *closing_names(first))
             self._range = range_of(vehicles)
-        self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])  # the code expects velocities of extension
+        # The code expects extension velocities, which have the opposite sign
+        self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])
         if self._semi_active is not None:
             self._semi_active.start(vehicles, timestep)
         self._limiter, self._given = command_limiter(vehicles, timestep), np.zeros_like(self._nominal)

@@ -16,7 +16,7 @@ from synth.controller.controller import Controller
 if TYPE_CHECKING:
     from models.parts.damper_range import CoefficientRange
 
-IN_ORDER = 8  # number of terms from which numpy's sum adds pairs first
+IN_ORDER = 8  # number of terms from which NumPy's sum adds pairs first
 
 
 class LinearDriver:
@@ -71,7 +71,7 @@ class LinearDriver:
         m, q = self._forces, len(self._gain)
         # Measurements of other controllers are multiplied by zero, which does not change the rounding.
         products = self._gain * y.T[:q, :, None]
-        # numpy adds a few terms one after the other for any number of runs. For more terms, it may change the order.
+        # NumPy adds a few terms one after the other for any number of runs. For more terms, NumPy may change the order.
         computed = np.add.reduce(products, axis=0) if q < IN_ORDER else sum(products, start=np.zeros(products.shape[1:]))
         if state.shape[1]:
             computed += np.matvec(self._memory, state)

@@ -32,7 +32,7 @@ class PythonDriver:
     ahead = 0
 
     def __init__(self, controller: PythonController, failures: dict[int, Failure] | None, numbers: Sequence[int]) -> None:
-        """Takes the controller of the runs.
+        """Prepares the controller of the runs.
 
         Args:
             failures: dictionary that receives failures, whose runs continue without forces; None to raise them.

@@ -1,4 +1,4 @@
-"""Drivers by name. A class or function in its own file makes the driver of given controllers."""
+"""Drivers by name. Registry of drivers: for each type of control law, a class or function in its own file creates the driver."""
 
 from collections.abc import Sequence
 

@@ -1,8 +1,8 @@
 """Describing function of a loop with a law in Python: its response to one sinusoid at a time, measured in MuJoCo.
 
-The law may be nonlinear, so a chirp would mix the responses at different frequencies, and no prediction exists. For each
-output, the result contains the fundamental, which has the frequency of the road. The result also contains the share of energy
-at other frequencies, which is due to harmonics, a mean value or transients. The result can depend on the height of the road.
+The law may be nonlinear. A chirp would therefore mix the responses at different frequencies, and linear analysis cannot predict
+the responses. For each output, the result contains the fundamental (the component at the frequency of the road) and the share of
+energy at other frequencies, due to harmonics, a mean value or transients. The result can depend on the height of the road.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from sim.studies.frequency.identification import check, ideal_measurements, sett
 from sim.studies.frequency.sinusoids import PeriodicRoad, chirp_lines, drive_periodic
 from synth.controller.controller import AnyController
 
-SINUSOIDS = 20  # number of frequencies over the range of the chirp
+SINUSOIDS = 20  # number of frequencies, over the same range as the chirp of linear controllers
 STEADY = 1e-3  # relative change of a fundamental from one period to the next above which a note is printed
 
 
@@ -38,9 +38,9 @@ class DescribingFunction:
         measured: complex amplitude of the fundamental per road velocity under the first wheel, shape (F, p).
         outside: share of the energy of an output outside the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
-        drift: largest relative change of a fundamental from one period of the lowest frequency to the next.
+        drift: largest relative change of a fundamental between consecutive periods of the lowest frequency.
         without: text with the noise and quantisation of the vehicle file that these runs omit; empty if they omit nothing.
-        ended: names of the limits that ended the linear regime in any of the runs.
+        ended: names of the limits that were reached in any of the runs and so ended the linear regime.
     """
 
     controller: AnyController
@@ -122,7 +122,7 @@ def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, ome
 
 
 def describing_failures(one: DescribingFunction) -> list[str]:
-    """Returns a text if every run diverged, so that nothing was measured; otherwise an empty list."""
+    """Returns a list with one text if every run diverged, so that nothing was measured; otherwise an empty list."""
     if not np.all(np.isfinite(one.diverged)):
         return []
     return [f"every run {'ended early' if one.law_diverged.any() else 'diverged'}, so nothing is measured"]

@@ -1,9 +1,9 @@
-"""EUSAMA test: the smallest load of a tyre, relative to its static load, on a plate that moves by 6 mm at up to 25 Hz.
+"""EUSAMA test: the smallest load of a tyre relative to the static load, on a plate that moves by 6 mm at up to 25 Hz.
 
 Workshops use this test of the European Shock Absorber Manufacturers Association (TS-02-76, 1976). A plate under one wheel at a
-time moves up and down by 6 mm from peak to peak. Its frequency begins at 25 Hz and decreases. The test grades the smallest tyre
-load, relative to the static load. In a linear vehicle, this ratio follows from the static tyre deflection t_0 and the frequency
-response t / z_r, from the height z_r of the plate to the tyre deflection t:
+time moves up and down by 6 mm from peak to peak. The frequency of the plate begins at 25 Hz and decreases. The test grades the
+smallest tyre load relative to the static load. In a linear vehicle, this ratio follows from the static tyre deflection t_0 and
+the frequency response t / z_r, from the height z_r of the plate to the tyre deflection t:
 
     ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
@@ -37,7 +37,8 @@ from synth.controller.controller import Controller
 STROKE = 3e-3  # m, amplitude of the plate
 LOWEST, GRID = 0.3, 600  # lowest frequency [Hz], below which the wheel follows the plate, and number of frequencies
 WINDOW = 4.0  # s, duration of the whole periods that are fitted
-TURNING_SHARE = 1e-3  # allowed relative effect of the rotation of the body on a tyre; 3 mm under one wheel of a car cause 1e-5
+# Allowed relative effect of the body's rotation on a tyre deflection; 3 mm under one wheel of a car cause only 1e-5
+TURNING_SHARE = 1e-3
 DISPUTED_LIMIT = "disputed: stiff tyres under light axles fail with sound dampers (Klapka, Mazurek, Machacek 2016)"
 
 
@@ -47,13 +48,13 @@ class MinimumLoad:
 
     Attributes:
         tyre: name of the tyre deflection signal.
-        ratio: predicted minimum over all frequencies for the implemented (sampled-data) loop; at least 0.
+        ratio: predicted minimum over all frequencies for the implemented (sampled-data) loop; never below 0.
         omega: frequency of this minimum [rad/s].
         driven: predicted minimum at the nearby frequency of the MuJoCo run; may be negative.
         measured: minimum in the MuJoCo run.
-        allowed: allowed difference between `driven` and `measured`; infinite for vehicles with nonlinear springs or dampers,
-            for which the prediction uses the linearisation.
-        ended: names of the limits that ended the linear regime.
+        allowed: allowed difference between `driven` and `measured`. It is infinite for vehicles with nonlinear springs or
+            dampers, because the prediction uses their linearisation.
+        ended: names of the limits that were reached and so ended the linear regime.
     """
 
     tyre: str
@@ -66,7 +67,7 @@ class MinimumLoad:
 
     @property
     def end(self) -> str:
-        """Limits that ended the linear regime; `curve` if the prediction is for a linearisation; empty otherwise."""
+        """Limits that ended the linear regime, and `curve` if the prediction uses a linearisation; empty if there are none."""
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
@@ -151,7 +152,7 @@ def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
-    """Returns the amplitude of a tyre deflection, relative to that of the plate under this wheel, for each frequency.
+    """Returns the amplitude of a tyre deflection relative to the amplitude of the plate under this wheel, for each frequency.
 
     The equivalent deflection of a tyre with damping is the deflection that would cause its whole force.
 
@@ -161,7 +162,7 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
         wheel: index of the wheel.
         omega: frequencies [rad/s], shape (F,).
         timestep: timestep of the simulation [s].
-        exponential: function for the matrix exponential: exact, or as RK4 approximates it.
+        exponential: function that computes the matrix exponential, either exactly or with the approximation of RK4.
     """
     response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
     outputs = vehicle.linear_model.outputs

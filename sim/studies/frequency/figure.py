@@ -1,4 +1,4 @@
-"""Figure of frequency responses, as Fig. 3 of the paper: lines show linear analysis, and points show MuJoCo.
+"""Figure of frequency responses, like Fig. 3 of the paper. Lines show linear analysis, and points show MuJoCo.
 
 The lines show the continuous loop or, if `[implementation]` has a sample period or a delay, the sampled loop.
 """
@@ -61,7 +61,8 @@ def sweep_figure(
             i = one.outputs.index(signal)
             sizes = np.abs(one.sampled).max(axis=0)
             if sizes[i] <= SILENT * loudest_alike(sizes, one.units)[i]:
-                continue  # the signal does not move: for example, no control force, or no roll on a road with equal sides
+                # The signal does not move, for example the force of the passive vehicle, or roll on a road with equal sides
+                continue
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])
             some = np.union1d(np.arange(0, len(points), EVERY), [points.argmax(), points.argmin()])
@@ -116,7 +117,7 @@ def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed:
     def magnitudes(omega: Array) -> Array:
         if vehicle.implementation.undelayed:
             response = continuous_frequency_response(vehicle, controller, omega)
-        else:  # a loop with a sample period or a delay has no continuous frequency response
+        else:  # if the loop has a sample period or a delay, the line shows the sampled loop
             response = sampled_frequency_response(vehicle, controller, omega, timestep)
         return np.abs(response @ as_met(vehicle, omega, speed)[..., None])[..., 0]
 

@@ -1,9 +1,9 @@
 """Measurement of frequency responses and L2 gains in MuJoCo, and comparison with linear analysis.
 
 Start with `measure_responses`. The L2 gain from the disturbance w to the performance output z includes the weights of z. If a
-weight is a filter, the signal of the run passes this filter; the signal is linear between samples and starts from equilibrium.
-If the road has a filter, w is the input of this filter. The input is known for a sinusoidal road, but other roads would require
-the inverse of the filter, which may not exist.
+weight is a filter, the filter is applied to the signal of the run. The signal is assumed to be linear between samples and to
+start from equilibrium. If the road has a filter, w is the input of this filter. The input is known for a sinusoidal road, but
+other roads would require the inverse of the filter, which may not exist.
 """
 
 import math
@@ -33,7 +33,7 @@ from synth.controller.loop_of import loop_of, radius
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
-    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium, over time and all wheels.
+    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; the norms are over time and all wheels.
 
     Returns None if the road has a filter, because w is then unknown.
     """
@@ -69,7 +69,7 @@ def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
     If a force is held over several steps, the result contains the signals after the jumps and the signals before the jumps.
     """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
-    several = steps_per_sample(vehicle.implementation, period) > 1  # between jumps there are steps in which z is continuous
+    several = steps_per_sample(vehicle.implementation, period) > 1  # z is continuous in the steps between jumps
     return [signals, _before_leaps(vehicle, response, signals, periodic)] if several else [signals]
 
 
@@ -113,7 +113,7 @@ def _columns(response: Response, names: Iterable[str]) -> Array:
 
 
 def _road_size(vehicle: Vehicle, response: Response) -> float:
-    """Returns the norm of the road velocity over time and all wheels."""
+    """Returns the L2 norm of the road velocity over time and all wheels."""
     return float(np.linalg.norm(_columns(response, [wheel.road_velocity for wheel in vehicle.kind.wheels])))
 
 
@@ -142,9 +142,10 @@ class Lines:
         omega: frequencies [rad/s], shape (F,).
         measured: response measured in MuJoCo.
         sampled: exact response of the implemented (sampled-data) loop.
-        integrated: response of this loop as RK4 integrates it.
+        integrated: response of this loop if RK4 integrates it.
         continuous: exact response of the continuous loop.
-        order: order of convergence of `sampled` to `continuous` in the timestep; NaN with a delay or a sample period.
+        order: order of convergence of `sampled` to `continuous` as the timestep decreases; NaN if the loop has a delay or a
+            sample period.
         gain: L2 gain of the run from w to z; None if the road has a filter, see `l2_gain`.
         ended: names of the limits that ended the linear regime.
     """
@@ -162,14 +163,14 @@ class Lines:
     ended: tuple[str, ...]
 
     def error(self, reference: Array) -> Array:
-        """Returns the largest relative difference of `measured` from a reference over all frequencies, shape (p,)."""
+        """Returns the largest relative difference between `measured` and a reference over all frequencies, shape (p,)."""
         return difference(self.measured, reference, self.units).max(axis=0)
 
 
 def difference(response: Array, reference: Array, units: Sequence[str]) -> Array:
-    """Returns the relative difference of a response at each frequency, shape (F, p).
+    """Returns the relative difference between a response and its reference at each frequency, shape (F, p).
 
-    The difference of a signal that symmetry keeps at zero is relative to the other signals with the same unit, as in
+    If symmetry keeps a signal at zero, its difference is relative to the other signals with the same unit, as in
     `Response.scale`.
 
     Args:
@@ -183,7 +184,7 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle in equilibrium without noise and quantisation, which have no frequency response."""
+    """Returns the vehicle in equilibrium, without noise and quantisation, for which no frequency response exists."""
     return replace(vehicle.starting(), implementation=vehicle.implementation.without_noise)
 
 

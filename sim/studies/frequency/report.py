@@ -121,7 +121,7 @@ def describe(
 
 
 def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Statement]:
-    """Yields statements about the claims: a common statement for the controllers whose claims hold, and one for each failure."""
+    """Yields statements about the claims: one statement for all controllers whose claims hold, and one for each failure."""
     of = {one.controller.name: one for one in sweeps}
     failed = {name: failures(one) for name, one in of.items() if not one.ended}
     holding: dict[str, list[Lines]] = {}
@@ -146,7 +146,7 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
 
 
 def _largest(one: Sweep | None) -> str:
-    """Returns a sentence about the gains of a sweep whose claims hold; empty without a sweep."""
+    """Returns a sentence about the gains of a sweep whose claims hold; empty if there was no sweep."""
     if one is None:
         return ""
     if not one.is_bounded:

@@ -1,9 +1,9 @@
-"""Runs over periodic roads: their duration, and the frequency lines and whole periods at their end.
+"""Runs over periodic roads: how long they last, and how the whole periods at the end are evaluated.
 
 A *line* is one of the frequencies of the road. A run starts from equilibrium, so it first contains free motion, which takes a
-minute to decay for a passive car. The shape of the free motion follows from the poles of the loop; only its size is unknown. A
+minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only the size is unknown. A
 least-squares fit of the last periods therefore contains a sine and a cosine at each line, and the decaying shapes of the free
-motion. This cannot hide a wrong frequency response, because no decaying motion resembles a line over a whole period.
+motion. This fit cannot hide a wrong frequency response, because no decaying motion resembles a line over a whole period.
 """
 
 import math
@@ -27,27 +27,30 @@ from synth.plant.loop import Loop
 
 LOWEST, HIGHEST = 0.1, 25.0  # Hz, range of frequencies
 ALIASING_LIMIT = (
-    0.98  # highest line relative to half the controller's sample rate; images of higher lines could be near other lines
+    0.98  # highest line relative to half the controller's sample rate; aliases (images) of higher lines could be near other lines
 )
-IMAGES = 8  # number of multiples of the sample rate that have images of a line on both sides; images of higher ones are smaller
+# Number of multiples of the sample rate around which images of a line are fitted; images at higher multiples are smaller
+IMAGES = 8
 DEAD = 1e-12  # relative size below which free motion counts as decayed
-# Relative size of free motion that may remain without being fitted, if lines are fitted and if signals are used:
+# Relative size of free motion that may remain without a fit: if lines are fitted, and if the signals themselves are used.
 LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6
-PATIENCE = 10.0  # s, longest wait; slower free motion, such as that of integrators, is fitted and subtracted
-TOLD_APART = 5.0  # s, duration at the end of a run that suffices to separate slow motion from the lines
+# S, longest wait for free motion to decay; slower free motion, for example of integrators, is fitted and subtracted
+PATIENCE = 10.0
+TOLD_APART = 5.0  # s, duration of the end of a run that suffices to separate slow motion from the lines
 ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in one batch would take gigabytes
 FINEST = 2000  # smallest number of samples in whole periods, such that their frequency is within 0.03 % of the requested one
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicRoad:
-    """A periodic road, and how the end of a run over this road is evaluated.
+    """A periodic road, and the method by which the end of a run over this road is evaluated.
 
     Attributes:
         road: the road.
         omega: frequencies of the road [rad/s], shape (F,).
         samples: number of samples in the whole periods at the end of the run.
-        fitted: True to fit lines and free motion to these periods; False to use the signals, so free motion must have decayed.
+        fitted: True to fit lines and free motion to these periods; False to use the signals themselves, in which free motion must
+            have decayed.
     """
 
     road: Road
@@ -93,8 +96,8 @@ class PeriodicRun:
         """Returns the complex amplitude of each line, shape (F,), by name of the signal. The controller must be linear.
 
         Args:
-            with_images: True to fit also the images of the lines, see `images`. The images need no fit if the samples contain
-                whole periods of the road and of the controller's sampling. Images are then orthogonal to the lines.
+            with_images: True to fit also the images of the lines, see `images`. If the samples contain whole periods of both the
+                road and the controller's sampling, images are orthogonal to the lines and need no fit.
         """
         (controller, loop), omega = self._loop, self.on.omega
         response = self.response.samples(slice(-self.on.samples, None))
@@ -148,9 +151,10 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
     - If lines are fitted, the remaining free motion is fitted as well. The run then has the same number of samples before the
       evaluated samples.
-    - A controller with a longer sample period causes additional lines, which resemble free motion. Free motion must therefore
-      decay before the evaluated samples, except slow motion, which is subtracted. The same applies if signals are used.
-    - The free motion of nonlinear laws is unknown. Their runs have twice as many samples before the evaluated ones. The second
+    - A controller whose sample period is longer than the timestep causes additional lines, which resemble free motion. Free
+    motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same applies if the
+    signals themselves are used. - The free motion of nonlinear laws is unknown. Their runs have twice as many samples before the
+    evaluated ones. The second
       half of these samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
@@ -166,20 +170,22 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
 
 def _read(loop: Loop, slow: Array, samples: int) -> int:
-    """Returns the number of evaluated samples if signals are used. More samples are needed to fit slow modes."""
+    """Returns the number of evaluated samples if the signals themselves are used; slow modes require more samples."""
     return max(samples, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(slow) else samples
 
 
 def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, int]:
     """Returns the frequencies of a chirp and the number of samples in its period.
 
-    The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each is a multiple of the lowest. The
-    period contains an integer number of the controller's sample periods, so images of the lines do not disturb the fit.
+    The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each frequency is a multiple of the
+    lowest one. The period contains an integer number of the controller's sample periods, so images of the lines do not disturb
+    the fit.
 
     Args:
         vehicle: vehicle with the sample period of the controller.
         timestep: timestep of the simulation [s].
-        count: number of frequencies before equal ones are merged, and those too high for the sample period are omitted.
+        count: number of frequencies, before equal frequencies are merged and frequencies too high for the sample period are
+            omitted.
 
     Returns:
         Frequencies [rad/s], shape (F,), and the number of samples in one period.
@@ -191,7 +197,7 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
-    """Returns a number of periods and their total number of samples, which together give a frequency near `omega`.
+    """Returns a number of periods and a number of samples such that these periods in these samples have a frequency near `omega`.
 
     Args:
         omega: requested frequency [rad/s].
@@ -203,7 +209,7 @@ def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[
 
 
 def settled_sinusoid(periods: int, count: int, height: float, timestep: float, speed: float) -> PeriodicRoad:
-    """Returns a sinusoidal road whose signals are used at the end of a run.
+    """Returns a sinusoidal road for which the signals at the end of a run are used without a fit.
 
     Args:
         periods: number of periods at the end of the run.
@@ -217,7 +223,7 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
 
 
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
-    """Returns the frequencies of the largest images [rad/s]: sinusoids that sampling adds at sums with the sample rate.
+    """Returns the frequencies of the largest images [rad/s], which sampling causes around multiples of the sample rate.
 
     Images exist only if the sample period of the controller is longer than the timestep.
     """
@@ -229,7 +235,7 @@ def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
 
 
 def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
-    """Returns the settling time over a periodic road [s], and the discrete poles of the motion that then remains.
+    """Returns the settling time over a periodic road [s], and the discrete poles of the motion that remains after this time.
 
     Args:
         loop: the loop.

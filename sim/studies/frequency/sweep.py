@@ -1,4 +1,4 @@
-"""Results of a sweep for linear controllers, the check of its claims, and its JSON object."""
+"""Results of a sweep for linear controllers, the check of the claims, and the JSON object."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -23,12 +23,13 @@ from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
-# Allowed differences in addition to the error of RK4, which is known:
-TOLERANCE = 1e-4  # relative difference of a response, due to rotations of the body; roads of 0.1 mm cause only 3e-7
-# Relative height, and smallest height [m], of a lower road. A difference due to rotations is smaller on this road.
+# Allowed differences, in addition to the known error of RK4:
+TOLERANCE = 1e-4  # relative difference of a response due to rotations of the body; roads of 0.1 mm cause only 3e-7
+# Height of a lower road relative to the original road, and smallest height [m]. On a lower road, differences due to rotations are
+# smaller.
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6
-ABOVE = 1e-5  # relative excess of a gain above the norm, due to remaining free motion
-NORM_TOLERANCE = 1e-3  # relative difference of a gain below the norm
+ABOVE = 1e-5  # allowed relative amount by which a gain may exceed the norm, due to remaining free motion
+NORM_TOLERANCE = 1e-3  # allowed relative amount by which a gain may be below the norm
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
 GAIN = Field[float]("L2 gain", lambda one: one, digits)
 
@@ -42,7 +43,8 @@ class Sweep:
     sampled: SampledNorm | None  # exact norm of the implemented loop; None without [implementation], or with preview
     loads: tuple[MinimumLoad, ...]  # minimum load of each tyre in the EUSAMA test
     without: str  # text with the noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
-    small: Lines | None = None  # response over a lower road (1/10 or 1/100 of the height), if nonlinearity may cause a difference
+    # Response over a road of 1/10 or 1/100 of the height, measured if nonlinearity may cause a difference
+    small: Lines | None = None
 
     @property
     def controller(self) -> Controller:
@@ -51,7 +53,7 @@ class Sweep:
 
     @property
     def is_bounded(self) -> bool:
-        """False if the loop is stable but has no finite norm, which is possible only for laws for study."""
+        """False if the loop is stable but has no finite norm, which is possible only for laws with `study = true`."""
         return not self.controller.certificate.stable or math.isfinite(self.controller.certificate.norm.value)
 
     @property
@@ -118,7 +120,7 @@ def _reads_road(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def _off(lines: Lines) -> tuple[float, float, str, bool]:
-    """Returns the measured response with the largest difference from the sampled response, relative to the allowed difference.
+    """Returns the measured response whose difference from the sampled response is largest relative to the allowed difference.
 
     Returns:
         Difference, allowed difference, name of the signal, and True if the timestep is too large for this frequency.
@@ -170,7 +172,7 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
 
 
 def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float, low: float, high: float) -> list[str]:
-    """Returns a text if the gain over a road is outside the range from `low` to `high`; an empty list otherwise.
+    """Returns a list with one text if the gain over a road is not between `low` and `high`; otherwise an empty list.
 
     Args:
         road: name of the road.

@@ -26,7 +26,7 @@ from synth.vehicle.trade_off.report import describe
 
 SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s, frequencies to try for a norm that is reached at frequency 0
 TURN = 0.005  # rad, largest phase advance of the sinusoid in one timestep
-NEXT = 1e-3  # allowed relative distance of the gain from such a norm
+NEXT = 1e-3  # allowed relative distance between the gain and a norm that is reached at frequency 0
 TITLE = "Trade-off between objectives"
 
 
@@ -106,7 +106,7 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
-    """Returns a frequency to simulate at which a norm is reached or nearly reached [rad/s]; NaN if there is no such frequency.
+    """Returns a frequency [rad/s] at which a norm is reached or nearly reached in MuJoCo; NaN if there is no such frequency.
 
     Args:
         vehicle: vehicle with the outputs of the norm.

@@ -1,4 +1,4 @@
-"""L2 gains in MuJoCo: the largest gain, on the worst sinusoidal road, and the gains on a bump and on a random road.
+"""L2 gains in MuJoCo: the largest gain, which the worst sinusoidal road causes, and the gains over a bump and a random road.
 
 The module also measures the transmissibilities that no suspension force can change, if the vehicle type has such invariants.
 """
@@ -41,7 +41,7 @@ from sim.studies.frequency.sinusoids import (
 from synth.controller.controller import Controller
 
 DURATION = 20.0  # s, duration of all runs except that over the worst sinusoid, whose duration depends on its settling time
-# Allowed relative distance of the gain from its peak, and largest number of refinements to reach this distance:
+# Allowed relative distance between the gain and its peak, and largest number of refinements to reach this distance.
 BESIDE, DOUBLINGS = 3e-4, 6
 
 
@@ -54,7 +54,8 @@ class MeasuredInvariant:
         omega: frequency [rad/s].
         expected: expected magnitude.
         measured: magnitude in MuJoCo.
-        allowed: allowed relative difference: twice (omega h)^2 / 24, the error because MuJoCo holds the road over a timestep h.
+        allowed: allowed relative difference, twice (omega h)^2 / 24. The error (omega h)^2 / 24 arises because MuJoCo holds the
+            road over a timestep h.
     """
 
     name: str
@@ -76,9 +77,9 @@ class Extremes:
     Attributes:
         worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
             timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
-        integrated: discrete-time norm of the loop that RK4 integrates.
+        integrated: discrete-time norm of the loop if RK4 integrates it.
         tried: frequency of the simulated sinusoid near the worst one [rad/s].
-        predicted: gain at `tried` with all harmonics, at the timestep and at half the timestep; empty if `lti`.
+        predicted: gain at `tried` with all harmonics, for the timestep and for half the timestep; empty if `lti` is True.
         gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
         invariants: transmissibilities of this vehicle that no suspension force can change.
         ended: names of the limits that ended the linear regime in any of the runs.
@@ -140,7 +141,7 @@ def extremes(
 
 
 def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -> PeriodicRoad | None:
-    """Returns a road with the frequencies of the vehicle's invariants, evaluated over half of a run; None without invariants."""
+    """Returns a road with the frequencies of the vehicle's invariants, evaluated over half of a run; None if there are none."""
     omega = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants_of(vehicle.parameters)]
     if not omega:
         return None
@@ -149,8 +150,9 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns numbers of periods and samples, as `whole_periods`, with a frequency close enough to a narrow peak of the gain."""
-    steps = steps_per_sample(vehicle.implementation, timestep)  # the periods must also contain whole samples of the controller
+    """Returns numbers of periods and samples, like `whole_periods`, with a frequency close enough to a narrow peak."""
+    # The periods must also contain an integer number of the controller's samples
+    steps = steps_per_sample(vehicle.implementation, timestep)
     finest = math.ceil(FINEST / steps)
     periods, count = whole_periods(worst.omega, timestep * steps, finest)
     for k in range(1, DOUBLINGS + 1):

@@ -1,4 +1,5 @@
-"""The gallery: a comparison of published numbers with those that Roadproof computes.
+"""The gallery: a comparison of published numbers with the numbers that Roadproof computes.
 
-Start with `entries`, which reads the published numbers of a source. `numbers` computes the same numbers; `report` prints both.
+Start with `entries`, which reads the published numbers of a source. `numbers` computes the same quantities; `report` prints
+published and computed numbers.
 """

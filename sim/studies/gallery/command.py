@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class GalleryStudy(Study["list[Result]"]):
-    """Study that compares the published numbers of gallery entries with those that Roadproof computes."""
+    """Study that compares the published numbers of gallery entries with the numbers that Roadproof computes."""
 
     description = "Compare published results on suspensions with the results of Roadproof."
     epilog = """

@@ -53,7 +53,7 @@ def _road(value: Any, context: Mapping[str, Any]) -> Road:
 
 @dataclass(frozen=True)
 class PrintedNumber(Section):
-    """A published number, with the vehicle, controller, signal and run from which it follows."""
+    """A published number, with the vehicle, controller, signal and run for which it was published."""
 
     what: Annotated[str, Text("type of the number, a key of `sim.studies.gallery.numbers.KINDS`")]
     value: Annotated[float, SI("", "value as published, in `unit`", -LARGEST)]

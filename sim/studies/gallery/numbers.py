@@ -1,4 +1,4 @@
-"""Computation of the numbers in the gallery, by linear analysis and, if a run shows the number, in MuJoCo."""
+"""Computation of the numbers in the gallery by linear analysis and, if the number can be measured in a run, in MuJoCo."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from synth.plant.generalized import Plant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
-OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types of numbers that come from a step response
+OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types of numbers that are computed from a step response
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
@@ -38,7 +38,7 @@ class ComparedNumber:
     Attributes:
         printed: published number.
         exact: value from linear analysis.
-        mujoco: value in a MuJoCo run; None if no run shows the number.
+        mujoco: value in a MuJoCo run; None if the number cannot be measured in a run.
         grid: value from linear analysis at the sample times of the source; None if these are unknown.
     """
 
@@ -51,9 +51,10 @@ class ComparedNumber:
     def verdict(self) -> str:
         """Verdict of the comparison.
 
-        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the samples of the source
-        does, and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the given reason.
-        `WRONG`: none of these.
+        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the source's sample times rounds
+            to all published digits, and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the
+            given reason.
+        `WRONG`: none of these conditions holds.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)
@@ -75,7 +76,7 @@ def designer_of(entry: Entry, one: PrintedNumber) -> Designer:
 
 
 def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the proved bound on the structured singular value mu with performance."""
+    """Returns the proved bound on the structured singular value mu for robust performance."""
     bounds = [promise.proved for promise in designer.design(one.controller).robustness if promise.what == ROBUST_PERFORMANCE]
     if not bounds or bounds[0] is None:
         raise InputError(f"controller {one.controller!r} has no weighted errors; give a weight in its tolerance")
@@ -113,8 +114,8 @@ def _white(designer: Designer, one: PrintedNumber) -> float:
 def _pole(designer: Designer, one: PrintedNumber) -> float:
     """Returns the real or imaginary part of a pole of the continuous loop [1/s].
 
-    `one.at` contains the number of the pole, and 0 for its real or 1 for its imaginary part. Poles are numbered by increasing
-    real part, then by increasing magnitude. A complex pair counts once.
+    `one.at` contains the number of the pole, followed by 0 for the real part or 1 for the imaginary part. Poles are numbered by
+    increasing real part, then by increasing magnitude. A complex-conjugate pair of poles counts once.
     """
     loop = designer.design(one.controller).loop(designer.vehicle)
     poles = np.linalg.eigvals(loop.A)
@@ -124,7 +125,8 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
             f"at = {list(one.at)} does not name a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
         )
     k, part = one.at
-    level = np.round(poles.real / np.abs(poles).max(), 9)  # rounded, so that errors do not decide the order of undamped poles
+    # Rounded, so that rounding errors do not determine the order of undamped poles
+    level = np.round(poles.real / np.abs(poles).max(), 9)
     pole = poles[np.lexsort((np.abs(poles), level))][k]
     value = float(pole.imag if part else pole.real)
     return value if abs(value) > ON_AXIS * abs(pole) else 0.0
@@ -187,7 +189,7 @@ def _steps(run: Run, band: float) -> dict[str, SignalSteps]:
 
 
 def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
-    """Returns the value of a number in MuJoCo, in SI units; None if no run shows it, or if its run leaves the linear regime."""
+    """Returns a number's value in MuJoCo [SI]; None if no run can show it, or the run leaves the linear regime."""
     if one.what not in OF_A_RUN or one.what == "recovery" or not math.isinf(run_of_number(designer, one).agreement.until):
         return None
     run = run_of_number(designer, one)
@@ -197,7 +199,7 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
 
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
-    """Computes a number of a run only from the sample times that the source used; returns the number in SI units.
+    """Computes a number from the signal at the source's sample times alone; returns the number in SI units.
 
     A settling or recovery time ends at the first sample after which the signal stays within the band.
     """

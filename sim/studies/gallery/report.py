@@ -31,7 +31,7 @@ COUNTS: tuple[Field[Result], ...] = (
 
 
 def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
-    """Returns the document of an entry: its origin, reasons for differences, and a table of the numbers."""
+    """Returns the document about an entry: the source, reasons for differences, and a table of the numbers."""
     wrong, exact = [one for one in numbers if one.verdict == WRONG], NUMBERS[3]
     fails = [f"{one.printed.text} is {WRONG}: {exact.cell(one)}, not {one.printed.shown}." for one in wrong]
     origin = f"Entry `{entry.name}`.", entry.about, f"Source: {entry.source}. Licence: {entry.licence}."
@@ -45,7 +45,7 @@ def describe(entry: Entry, numbers: Sequence[ComparedNumber]) -> Document:
 
 
 def summary(results: Sequence[Result]) -> Document:
-    """Returns the document about several entries: how many numbers are reproduced, and which sources the gallery contains."""
+    """Returns the document about several entries: the share of reproduced numbers, and the list of sources."""
     counts = [[int(field.cell(one)) for field in COUNTS[2:]] for one in results]
     reproduced, differ, wrong, missing = (sum(each) for each in zip(*counts, strict=True))
     derived = sum(one.printed.derived for _, numbers in results for one in numbers)

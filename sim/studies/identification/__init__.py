@@ -1,1 +1,1 @@
-"""Identification: the parameters of a vehicle from measured logs, with intervals, and what the logs do not determine."""
+"""Identification of a vehicle's parameters from measured logs, with intervals and a list of what the logs do not determine."""

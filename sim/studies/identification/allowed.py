@@ -1,8 +1,8 @@
-"""Controllers over the vehicles that logs allow: the worst certified bound, margin and ride on the ellipse of parameters.
+"""Worst bound, margins and ride of a controller over the vehicles that are consistent with the logs.
 
-The 95 % ellipse of the logarithms of p estimated parameters has 2 p ends of axes, so there are 2 p + 1 vehicles with
-the estimate. Each controller is designed for the estimate, and certified on every one of them in exact arithmetic. The bound is
-proved for these vehicles, and not between them.
+The logarithms of the p estimated parameters have a 95 % confidence ellipsoid. Its axes have 2 p ends, and each end is one
+vehicle. With the estimate itself, there are 2 p + 1 vehicles. Each controller is designed for the estimate. Its bound is then
+certified in exact arithmetic for each of these vehicles. Nothing is proved for vehicles in between.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.allowed_result import AllowedResult
 from sim.studies.identification.identification import Identification, changed
 
-LEVEL = 0.95  # probability of the ellipse
+LEVEL = 0.95  # probability that the ellipsoid contains the true parameters
 
 
 def allowed_vehicles(of: Identification) -> list[Vehicle]:
-    """Returns the estimated vehicle and those at the ends of the axes of the ellipse that the logs allow."""
+    """Returns the estimated vehicle and the vehicles at the ends of the axes of the confidence ellipsoid."""
     from scipy.stats import chi2
 
     estimate = of.estimate
@@ -34,10 +34,10 @@ def allowed_vehicles(of: Identification) -> list[Vehicle]:
 
 
 def allowed_results(of: Identification, names: Sequence[str] = ()) -> list[AllowedResult]:
-    """Returns the results of controllers over the vehicles that the logs allow.
+    """Returns the results of controllers over the vehicles that are consistent with the logs.
 
     Args:
-        names: controllers with a linear law; by default all of the vehicle file.
+        names: names of controllers with a linear law; by default all such controllers of the vehicle file except `state`.
     """
     from synth.analysis.bounding import certify_tightly
     from synth.controller.law_margins import law_margins

@@ -1,4 +1,4 @@
-"""Result of a controller over the vehicles that logs allow."""
+"""Result of a controller over the vehicles that are consistent with the logs."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,16 @@ from models.document.field import Field
 
 @dataclass(frozen=True)
 class AllowedResult:
-    """A controller on the vehicles that the logs allow.
+    """Bounds, margins and ride of one controller over the vehicles that are consistent with the logs.
 
     Attributes:
         name: name of the controller.
-        bound: proved bound on the norm for the estimate; None without a proof.
-        worst_bound: largest proved bound of all vehicles; None if one of them has none.
-        gain_margin: smallest gain margin; infinite for no limit.
-        disk_margin: smallest disk margin; None without one.
-        ride: expected ride of the estimate on an average road [m/s2]; None without one.
-        worst_ride: largest of all vehicles [m/s2].
+        bound: proved bound on the norm for the estimated vehicle; None if nothing is proved.
+        worst_bound: largest proved bound of all vehicles; None if nothing is proved for one of the vehicles.
+        gain_margin: smallest gain margin of all vehicles; infinite if no gain makes a loop unstable.
+        disk_margin: smallest disk margin of all vehicles; None if no loop has a disk margin.
+        ride: expected ride of the estimated vehicle on an average road [m/s2]; None if it cannot be computed.
+        worst_ride: largest expected ride of all vehicles [m/s2].
         vehicles: number of vehicles.
     """
 

@@ -1,4 +1,4 @@
-"""First maps of logs, guessed from the headings of their columns alone."""
+"""A first map of logs, guessed from the headings of their columns alone."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from models.common.units import unit_size
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.log_map import LOGGED, UNKNOWN
 
-# Words of headings: of the quantity, then of the place. Words beyond these do not matter.
+# Words that headings use for a quantity, then words for a place. All other words are ignored.
 ACCELERATION = frozenset(["acc", "accel", "acceleration", "accelerometer", "accz", "az", "zacc"])
 BODY, HUB = (
     frozenset(["body", "sprung", "chassis", "mass", "seat", "frame"]),
@@ -26,7 +26,8 @@ VELOCITY = frozenset(["vel", "velocity", "speed"])
 TYRE = frozenset(["tyre", "tire"])
 ROAD = frozenset(["road", "post", "platform", "table", "shaker", "actuator", "ground", "profile", "plate", "pad"])
 FORCE = frozenset(["force", "load", "loadcell"])
-WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {  # one of the first two, none of the third
+# A word of each of the first two sets, no word of the third
+WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {
     "unsprung_acceleration": (ACCELERATION, HUB, frozenset()),
     "sprung_acceleration": (ACCELERATION, frozenset(), HUB),
     "unsprung_velocity": (VELOCITY, HUB, TRAVEL - {"suspension"}),
@@ -36,18 +37,18 @@ WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {  
     "control_force": (FORCE, frozenset(), HUB),
 }
 ENDS = frozenset(["front", "rear", "left", "right"])
-GUESSES = ("mm", "cm", "g", "deg", "rad")  # units that words of a heading may be
-NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}  # units that logs often have instead
+GUESSES = ("mm", "cm", "g", "deg", "rad")  # words of a heading that are read as units
+NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}  # SI unit: unit that logs often use instead
 
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """Column that seems to be a signal.
+    """A column that seems to contain a signal.
 
     Attributes:
         signal: name of the signal.
-        column: heading for the map, with a unit.
-        warning: warning about the unit; empty for a unit that the heading gives.
+        column: heading to write in the map, with a unit.
+        warning: warning about a guessed unit; empty if the heading contains the unit.
     """
 
     signal: str
@@ -61,7 +62,7 @@ def _words(text: str) -> frozenset[str]:
 
 
 def guess(heading: Heading, units: Mapping[str, str]) -> ColumnGuess | None:
-    """Returns the signal that a heading seems to name; None for a heading that names none, or has a unit of another quantity.
+    """Returns the signal that a heading seems to name; None if it names no signal or has the unit of another quantity.
 
     Args:
         units: SI units of the vehicle's signals, by name.
@@ -101,10 +102,10 @@ def read_headings(path: Path, units: Mapping[str, str]) -> list[Heading]:
 
 
 def map_text(paths: Sequence[Path], vehicle: Vehicle) -> str:
-    """Returns a first map of logs: a section for each heading that names a signal, and other headings as comments.
+    """Returns a first map of logs: a section for each heading that names a signal, and the other headings as comments.
 
     Raises:
-        InputError: a file is not a table with headings, or is a log of `bump` or `drive`, which needs no map.
+        InputError: a file is not a table with headings, or was written by `bump` or `drive` and therefore needs no map.
     """
     units = {name: one.unit for name, one in vehicle.kind.possible.items()}
     sections, others, timed = dict[str, list[ColumnGuess]](), list[str](), True

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class IdentifyStudy(Study["Result"]):
-    """Identification of a vehicle from logs; with --columns the text of a first map, with --plan plans of a test."""
+    """Identifies a vehicle from logs. With --columns it returns a first map of the logs, and with --plan it plans a test."""
 
     description = (
         "Identify the parameters of a vehicle from measured logs, with intervals, and show what the logs do not determine."

@@ -1,12 +1,13 @@
-"""Causes of a misfit by name: a delay, a factor, a sign, an offset, friction, a tyre's damping, lift-off, a resonance.
+"""Diagnosis of a misfit: a delay, a wrong factor, sign or offset, friction, tyre damping, lift-off, or a resonance.
 
-A cause moves the predicted signals in a known direction g. The size of the cause is the least-squares coefficient of the
-residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains. This
-is the score statistic (Lagrange multiplier) of a further parameter over the number of residuals. The cause with the largest
-statistic comes first, and the others are then tested again.
+A cause changes the predicted signals in a known direction g. The part of g that the unknowns can also produce is removed from
+it. A least-squares fit of the rest to the residuals gives the size of the cause. The share of a cause is the part of the
+residuals' sum of squares that it explains. This share is the score (Lagrange multiplier) statistic of one more parameter,
+divided by the number of residuals. The cause with the largest statistic is taken first. The other causes are then tested again
+on what it leaves.
 
-Friction sets in over a displacement (Dahl). The best of several is used, as a short one alone misses a friction that a small
-motion does not overcome.
+Friction builds up over a displacement (Dahl model). Several displacements are tried and the best one is used, because a short
+one alone does not find friction that a small motion fails to overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -33,15 +34,15 @@ FACTORS: Mapping[float, str] = {
     39.37007874015748: "in inches",
     100.0: "in hundredths of its unit, such as cm",
 }
-NEAR = 0.2  # relative: a factor this near to one of these has a name
-ALIKE = 0.8  # correlation from which a column is a signal but for its factor
-EXPLAINED = 0.03  # share of the squares from which a cause is named
-SURE = 5.0  # standard deviations from which it is
-LAGS = 25  # samples up to which a delay is looked for
+NEAR = 0.2  # relative distance from one of these factors below which a factor is named
+ALIKE = 0.8  # correlation above which a column is taken to be the signal, apart from a factor
+EXPLAINED = 0.03  # share of the residuals' squares above which a cause is reported
+SURE = 5.0  # size of a cause, in standard deviations, above which it is reported
+LAGS = 25  # largest delay that is searched for, in samples
 MOST_CAUSES = 3
-LEFT = 0.01  # share of a cause's squares that the unknowns must not explain: else its size is not known
-MOST_SAMPLES = 50_000  # of an experiment whose residuals are searched for causes
-SHARP = 0.9  # magnitude of a pole of the residuals' model that is a resonance
+LEFT = 0.01  # smallest share of a cause that the unknowns cannot also produce; below it, the size of the cause is unknown
+MOST_SAMPLES = 50_000  # largest number of samples of an experiment that is searched for causes
+SHARP = 0.9  # magnitude above which a pole of the residuals' model is a resonance
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,9 @@ class Cause:
     """A cause of a misfit.
 
     Attributes:
-        words: the cause and its size.
-        share: share of the squares of all residuals that it explains.
-        deviations: size in standard deviations.
+        words: text that states the cause and its size.
+        share: share of the sum of squares of all residuals that the cause explains.
+        deviations: size of the cause in standard deviations.
     """
 
     words: str
@@ -59,14 +60,14 @@ class Cause:
     deviations: float
 
 
-SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which a friction sets in, over the largest travel
+SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which friction builds up, relative to the largest travel
 
 
 def check_columns(problem: IdentificationProblem) -> list[str]:
-    """Compares the columns with the first vehicle before anything is fitted; returns remarks.
+    """Compares the columns with the initial vehicle before the fit; returns remarks.
 
     Raises:
-        InputError: a column is a signal with another unit, or with the opposite sign.
+        InputError: a column seems to have another unit than the map states, or the opposite sign.
     """
     remarks = list[str]()
     for one, prediction in zip(problem.experiments, problem.predictions, strict=True):
@@ -104,7 +105,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 
 def causes(of: Estimate) -> tuple[Cause, ...]:
-    """Returns the causes that the residuals contain, the largest first; those of white residuals are none."""
+    """Returns the causes of a misfit, the largest first; empty if the residuals are white."""
     if of.white:
         return ()
     residuals = of.residuals.residuals(of.x, of.noise, MOST_SAMPLES)
@@ -136,7 +137,7 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields causes, in words of their size, and how they move all residuals."""
+    """Yields each possible cause: a function from its size to a text, and the change of all residuals per unit of size."""
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]
@@ -183,7 +184,7 @@ def _gain_words(signal: str, coefficient: float) -> str:
 
 
 def _lag(of: Estimate, signal: str) -> float:
-    """Returns the delay of a measured signal behind the predicted one with the largest correlation [s], by a parabola."""
+    """Returns the delay [s] at which a measured signal correlates best with the predicted one, interpolated by a parabola."""
     total, step = np.zeros(2 * LAGS + 1), of.problem.experiments[0].step
     for one, predicted in zip(of.problem.experiments, of.predicted, strict=True):
         if signal not in one.signals or one.step != step or len(predicted) <= 4 * LAGS:
@@ -209,10 +210,10 @@ def _weighted(of: Estimate, moved: list[Array]) -> Array:
 
 
 def _friction(of: Estimate, i: int, force: str) -> list[Array]:
-    """Returns the signals of an experiment under 1 N of friction in a suspension, shape (T, q), for each of `SETS_IN`."""
+    """Returns the signals caused by 1 N of friction in a suspension, shape (T, q), for each displacement of `SETS_IN`."""
     prediction = of.problem.predictions[i]
     one, vehicle = prediction.experiment, prediction.vehicle(of.values)
-    if one.part:  # it is the part's own
+    if one.part:  # a part on a dyno contains its own friction
         return [np.zeros_like(of.predicted[i]) for _ in SETS_IN]
     model, deflection = vehicle.linear_model, vehicle.kind.deflection_of(force)
     travel = prediction.signals([deflection], of.values, of.residuals.start(of.x, i))[:, 0]
@@ -224,22 +225,22 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
     whole = linalg.expm(M * one.step)
     each = list[Array]()
     for pull in dahl_friction(travel, max(float(np.abs(travel).max()), 1e-12) * np.array(SETS_IN)).T:
-        # The force pulls the ends together as they move apart.
+        # A friction force pulls the ends of the suspension together while they move apart.
         x = recursion(whole[:n, :n], np.outer(-pull, whole[:n, n]))
         each.append(x @ C.T + np.outer(-pull, Dv[:, column]))
     return each
 
 
 def dahl_friction(travel: Array, lengths: Array) -> Array:
-    """Returns friction relative to its largest over a travel, shape (T, m): w' = (v - |v| w) / length, with w from 0.
+    """Returns the friction w relative to its largest value, shape (T, m): w' = (v - |v| w) / length, v the travel's rate.
 
     Args:
-        travel: shape (T,).
-        lengths: displacements over which the friction sets in, in the unit of the travel, shape (m,).
+        travel: suspension travel at the samples, shape (T,).
+        lengths: displacements over which the friction builds up, in the unit of the travel, shape (m,).
     """
     sign = np.sign(np.diff(travel))
     pull, first = np.zeros((len(travel), len(lengths))), 0
-    for last in (*(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)):  # between reversals the solution is exact
+    for last in (*(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)):  # exact between reversals of the motion
         moved = np.abs(travel[first + 1 : last + 1, None] - travel[first])
         pull[first + 1 : last + 1] = sign[first] + (pull[first] - sign[first]) * np.exp(-moved / lengths)
         first = last
@@ -247,7 +248,7 @@ def dahl_friction(travel: Array, lengths: Array) -> Array:
 
 
 def _by_parameter(of: Estimate, name: str) -> list[Array]:
-    """Returns the derivative of all signals by a parameter that may be zero."""
+    """Returns the derivative of all signals with respect to a parameter that may be zero."""
     value = of.problem.vehicle.parameters.get(name, 0.0)
     step, each = max(1.0, 1e-3 * value), list[Array]()
     for i, one in enumerate(of.problem.predictions):
@@ -259,7 +260,7 @@ def _by_parameter(of: Estimate, name: str) -> list[Array]:
 
 
 def resonances(of: Estimate) -> list[str]:
-    """Returns remarks on resonances that the residuals of a signal contain."""
+    """Returns remarks on resonances in the residuals of signals."""
     remarks = list[str]()
     for one, difference, tests in zip(of.problem.experiments, of.differences, of.whiteness, strict=True):
         for i, name in enumerate(one.signals):
@@ -274,7 +275,7 @@ def resonances(of: Estimate) -> list[str]:
 
 
 def airborne(of: Estimate) -> list[tuple[int, Array]]:
-    """Returns the experiments in which a wheel leaves the road, by number, with True for the samples in the air."""
+    """Returns the experiments in which a wheel leaves the road: number, and True for each sample in the air."""
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
         if one.experiment.hubs or one.experiment.part:

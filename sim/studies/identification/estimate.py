@@ -1,17 +1,18 @@
-"""Maximum likelihood of a vehicle's parameters, with intervals, and the directions that the logs do not determine.
+"""Maximum-likelihood estimate of a vehicle's parameters, with intervals and the combinations that the logs do not determine.
 
-The residuals of each sensor are divided by the rms of its noise. This rms is given, or is that of the residuals, estimated
-alternately with the parameters. Unknown are the logarithms of the free parameters, the delays of sensors, the state at the start
-of each experiment and the offsets. `scipy.optimize.least_squares` finds their least squares.
+The residuals of each sensor are divided by the rms of its noise. If this rms is not given, it is estimated from the residuals,
+alternately with the parameters. The unknowns are the logarithms of the free parameters, the delays and offsets of sensors, and
+the state at the start of each experiment. `scipy.optimize.least_squares` minimises the sum of squares of the residuals.
 
-Directions. J contains the derivatives of all residuals, and J'J is the information matrix. The part of J that belongs to the
-parameters, without what all other unknowns explain, has the singular values s and directions V of logarithms. A direction with
-s = 0 moves no signal. The motion of a quarter-car has one: all masses, stiffnesses and dampings times one number. Then as many
-parameters as there are such directions keep their first values. What the logs determine are products of powers: of each other
-parameter with these.
+Directions. J contains the derivatives of all residuals, and J'J is the information matrix. The columns of J for the parameters
+are projected onto the complement of the columns for all other unknowns. The singular value decomposition of the result gives
+the singular values s, and in V the directions in the space of the logarithms. A change of the logarithms along a direction with
+s = 0 changes no signal. The motion of a quarter-car has one such direction: all masses, stiffnesses and dampings multiplied by
+the same number. As many parameters as there are such directions are then held at their initial values. For each other
+parameter, the logs determine the product of this parameter with powers of the held ones.
 
-Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a sensor are coloured, this is too small. Then it is
-(J'J)^-1 J'RJ (J'J)^-1 with the autocovariance R of an autoregressive model of each sensor's residuals.
+Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a sensor are coloured, this covariance is too
+small. (J'J)^-1 J'RJ (J'J)^-1 is then used, where R is the autocovariance of an autoregressive model of each sensor's residuals.
 """
 
 import math
@@ -32,21 +33,21 @@ from sim.studies.identification.prediction import LogPrediction, PredictedSignal
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
 NORMAL = 1.959963984540054  # half-width of a 95 % interval in standard deviations
-CHI2 = NORMAL**2  # rise of -2 log likelihood at its ends
-SINGULAR = 1e-7  # singular value over the largest one, below which a direction moves no signal: matrices are known to 1e-10
-WIDE = 1.0  # standard deviation of a logarithm above which a parameter is not determined in practice: a factor of 7 each way
-SETTLED = 1e-4  # relative change of noise at which it is settled
-ROUNDS = 30  # of noise and parameters by turns
-SPREAD = 1.2  # of the logarithms of further starts: a factor of 3
+CHI2 = NORMAL**2  # rise of -2 log likelihood at the ends of a 95 % interval
+SINGULAR = 1e-7  # relative singular value below which a direction is taken to change no signal; matrices are accurate to 1e-10
+WIDE = 1.0  # standard deviation of a logarithm above which a parameter counts as not determined: a factor of 7 up or down
+SETTLED = 1e-4  # relative change below which the noise rms has converged
+ROUNDS = 30  # largest number of alternations between noise and parameters
+SPREAD = 1.2  # range of the logarithms of further starting points: a factor of 3 up or down
 STARTS = 6
-FAR = 100.0  # deviance above that of a solution, from which a start does not lead to an equal one
-FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move: a factor of 8000
+FAR = 100.0  # largest excess of a starting point's deviance over that of a known solution; beyond it, no search is run
+FURTHEST = 9.0  # largest change of a parameter's logarithm: a factor of 8000
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
-BLOCK = 50_000  # samples whose derivatives are in memory together
-MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start or from a near solution
-WARM = 4  # rounds from a near solution
-NOISELESS = 1e-3  # residuals over a signal, each as rms, below which there is no noise to test
-POOR = 0.5  # share of a signal's mean square that a fit explains, below which other starts are tried
+BLOCK = 50_000  # largest number of samples whose derivatives are in memory at the same time
+MOST, FEW = 60, 10  # evaluations of the first search, and of a search from a further starting point or near a solution
+WARM = 4  # rounds of a search that starts near a solution
+NOISELESS = 1e-3  # rms of the residuals relative to the signal's rms, below which the residuals contain no noise to test
+POOR = 0.5  # other starting points are tried if the fit explains a smaller share of a signal's mean square
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +55,10 @@ class Known:
     """A combination of parameters that is known from elsewhere: a corner weight, or a weighed mass.
 
     Attributes:
-        name: name for reports.
-        of: the quantity of a vehicle's parameters [SI].
+        name: name of the combination in reports.
+        of: function that computes the combination for a vehicle [SI].
         value: measured value.
-        deviation: standard deviation of the value.
+        deviation: standard deviation of the measured value.
     """
 
     name: str
@@ -71,13 +72,13 @@ class IdentificationProblem:
     """Parameters to identify, and the experiments that measured them.
 
     Attributes:
-        vehicle: vehicle with the first values of its parameters.
-        change: the vehicle with other values of some parameters.
-        first: first values of all free parameters, above 0, by name.
-        from_zero: names of those that may be zero; others have logarithms.
+        vehicle: vehicle with the initial values of its parameters.
+        change: function that returns the vehicle with other values of some parameters.
+        first: initial values of all free parameters, by name; each is above 0.
+        from_zero: names of the free parameters that may be zero; the unknowns of all others are logarithms.
         experiments: the experiments.
         known: combinations that are known from elsewhere.
-        lowest: least values above 0 that some parameters may have, such as an exponent.
+        lowest: smallest allowed values of parameters that need a limit above 0, such as an exponent.
     """
 
     vehicle: Vehicle
@@ -90,7 +91,7 @@ class IdentificationProblem:
 
     @cached_property
     def predictions(self) -> tuple[LogPrediction, ...]:
-        """The prediction of each experiment."""
+        """The predictor of each experiment's signals."""
         kinds = (PartPrediction if one.part else LogPrediction for one in self.experiments)
         return tuple(
             kind(one, lambda values: self.change(self.vehicle, values)) for kind, one in zip(kinds, self.experiments, strict=True)
@@ -110,7 +111,7 @@ class IdentificationProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
-    """Places of all unknowns in one vector: logarithms of parameters, delays, then starts and offsets of experiments."""
+    """Indices of all unknowns in one vector: logarithms of parameters, delays, then start and offsets of each experiment."""
 
     free: tuple[str, ...]
     delayed: tuple[str, ...]
@@ -122,13 +123,13 @@ class _Unknowns:
         return len(self.free) + len(self.delayed) + sum(self.starts) + sum(map(len, self.offsets))
 
     def of_experiment(self, i: int) -> tuple[slice, slice]:
-        """Returns the places of the start and of the offsets of an experiment."""
+        """Returns the indices of an experiment's starting state, and of its offsets."""
         first = len(self.free) + len(self.delayed) + sum(self.starts[:i]) + sum(map(len, self.offsets[:i]))
         return slice(first, first + self.starts[i]), slice(first + self.starts[i], first + self.starts[i] + len(self.offsets[i]))
 
 
 class _Residuals:
-    """Residuals over noise of all experiments and their derivatives, for one choice of free parameters."""
+    """Residuals of all experiments, divided by the noise, and their derivatives, for one choice of free parameters."""
 
     def __init__(self, problem: IdentificationProblem, free: Sequence[str], fixed: Mapping[str, float]) -> None:
         self.problem, self.fixed = problem, {**problem.first, **fixed}
@@ -150,12 +151,12 @@ class _Residuals:
         return values
 
     def coordinate(self, name: str, value: float) -> float:
-        """Returns the unknown of a parameter: the logarithm of its ratio to the first value, or the ratio if it may be zero."""
+        """Returns a parameter's unknown: its ratio to the initial value if it may be zero, else the logarithm of this ratio."""
         ratio = value / self.fixed[name]
         return ratio if name in self.problem.from_zero else math.log(ratio)
 
     def sizes(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Returns the derivative of each free parameter by its unknown, by name."""
+        """Returns the derivative of each free parameter with respect to its unknown, by name."""
         return {name: (self.fixed if name in self.problem.from_zero else values)[name] for name in self.unknowns.free}
 
     def delays(self, x: Array, experiment: Experiment) -> list[float]:
@@ -165,7 +166,7 @@ class _Residuals:
         return [own.get(one.signal, one.delay) for one in experiment.channels]
 
     def start(self, x: Array, i: int) -> Array | None:
-        """Returns the state at the start of an experiment; None for rest."""
+        """Returns the state at the start of an experiment; None if the vehicle starts in equilibrium."""
         return x[self.unknowns.of_experiment(i)[0]] if self.unknowns.starts[i] else None
 
     def predicted(self, x: Array, derivatives: bool = True) -> list[PredictedSignals]:
@@ -185,18 +186,18 @@ class _Residuals:
         return all_signals
 
     def differences(self, x: Array, derivatives: bool = False) -> list[Array]:
-        """Returns predicted less measured signals of each experiment, shape (T, q); NaN where there is no value."""
+        """Returns predicted minus measured signals of each experiment, shape (T, q); NaN where a measured value is missing."""
         return [one.values - measured for one, measured in zip(self.predicted(x, derivatives), self.measured, strict=True)]
 
     def residuals(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Array:
-        """Returns all residuals over noise, shape (N,), channel by channel; of long experiments at most so many samples."""
+        """Returns all residuals divided by the noise, shape (N,), by channel, with at most `most` samples per experiment."""
         rows = list[Array]()
         for each, one in zip(self.differences(x, True), self.problem.experiments, strict=True):
             rows += [values[np.isfinite(values)] / noise[name] for name, values in zip(one.signals, each[:most].T, strict=True)]
         return np.concatenate([*rows, self._known(self.values(x))])
 
     def channel_columns(self, x: Array, noise: Mapping[str, float], i: int, channel: int, part: slice = slice(None)) -> Array:
-        """Returns the derivatives of a channel's residuals in an experiment by all unknowns, shape (T, unknowns)."""
+        """Returns the derivatives of an experiment's residuals in one channel by all unknowns, shape (T, unknowns)."""
         u, signals, one = self.unknowns, self.predicted(x)[i], self.problem.experiments[i]
         name, size = one.signals[channel], noise[one.signals[channel]]
         columns = np.zeros((len(signals.values[part]), u.size))
@@ -215,9 +216,10 @@ class _Residuals:
         return np.concatenate([*(J for J, _ in self._blocks(x, noise, most)), self.known_columns(x)])
 
     def reduced(self, x: Array, noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Returns R and c of a QR decomposition of derivatives and residuals: least squares with them are those of all.
+        """Returns R and c of a small least-squares problem whose solution is that of the whole one, by QR decomposition.
 
-        The derivatives of a long log are never in memory together. R has shape (unknowns + 1, unknowns), c (unknowns + 1,).
+        The derivatives of a long log are never in memory all at the same time. R has the shape (unknowns + 1, unknowns), and c
+        the shape (unknowns + 1,).
         """
         whole = np.column_stack([self.known_columns(x), self._known(self.values(x))])
         for J, residuals in self._blocks(x, noise):
@@ -235,7 +237,7 @@ class _Residuals:
                     yield self.channel_columns(x, noise, i, channel, part)[counted], values[counted] / noise[name]
 
     def known_columns(self, x: Array) -> Array:
-        """Returns the derivatives of what is known from elsewhere over its deviation, shape (k, unknowns)."""
+        """Returns the derivatives of the known combinations, each divided by its standard deviation, shape (k, unknowns)."""
         values, base = self.values(x), np.zeros((len(self.problem.known), self.unknowns.size))
         for j, (name, size) in enumerate(self.sizes(values).items() if self.problem.known else ()):
             base[:, j] = (self._known({**values, name: values[name] + 1e-6 * size}) - self._known(values)) / 1e-6
@@ -248,7 +250,7 @@ class _Residuals:
         return np.array([(one.of(vehicle) - one.value) / one.deviation for one in self.problem.known])
 
     def noise(self, x: Array) -> dict[str, float]:
-        """Returns the noise rms of each signal: given, or the rms of its residuals."""
+        """Returns the noise rms of each signal: the given value, or else the rms of its residuals."""
         squares, counts, given = dict[str, float](), dict[str, int](), dict[str, float]()
         for each, one in zip(self.differences(x, True), self.problem.experiments, strict=True):
             for channel, values in zip(one.channels, each.T, strict=True):
@@ -272,10 +274,10 @@ class _Residuals:
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A direction of logarithms of parameters that moves no signal.
+    """A direction in the space of the parameters' logarithms along which no signal changes.
 
     Attributes:
-        powers: share of each parameter, by name.
+        powers: component of the direction along each parameter's logarithm, by name.
     """
 
     powers: Mapping[str, float]
@@ -287,19 +289,19 @@ class Estimate:
 
     Attributes:
         problem: parameters and experiments.
-        values: values of all free parameters [SI], by name; those in `held` have their first ones.
-        free: names of the parameters that were estimated, p of them.
-        held: parameters that kept their first values, as the signals determine only their products with others.
-        directions: the directions that move no signal.
-        silent: parameters that no signal feels, with their first values.
+        values: values of all free parameters [SI], by name; the parameters in `held` have their initial values.
+        free: names of the p parameters that were estimated.
+        held: parameters that kept their initial values, because the signals determine only their products with others.
+        directions: directions along which no signal changes.
+        silent: parameters that affect no signal; they keep their initial values.
         delays: estimated delays [s], by signal.
         noise: noise rms of each signal.
         covariance: covariance of the logarithms of the free parameters if the residuals are white, shape (p, p).
-        robust: the same covariance from the autocovariance of the residuals.
-        whiteness: whiteness of the residuals of each experiment's signals.
-        differences: predicted less measured signals of each experiment, shape (T, q).
+        robust: covariance of the same logarithms, computed from the autocovariance of the residuals, shape (p, p).
+        whiteness: result of the whiteness test of each experiment, by signal.
+        differences: predicted minus measured signals of each experiment, shape (T, q).
         predicted: predicted signals of each experiment, shape (T, q).
-        deviance: -2 log likelihood but for a constant.
+        deviance: -2 log likelihood, up to a constant.
         residuals: the residuals for further analysis.
         x: the unknowns.
     """
@@ -323,23 +325,23 @@ class Estimate:
 
     @cached_property
     def noiseless(self) -> dict[str, float]:
-        """Largest rms of residuals over that of the signal, by name, for signals that are fitted as exactly as steps allow."""
+        """Signals that are fitted almost exactly: by name, the largest ratio of the residuals' rms to the signal's rms."""
         shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
         return {name: share for name, share in shares.items() if share < NOISELESS}
 
     @property
     def white(self) -> bool:
-        """True if the residuals of all signals are white, but for those without noise."""
+        """True if the residuals of all signals are white; signals without noise are not counted."""
         return all(one.white or name in self.noiseless for each in self.whiteness for name, one in each.items())
 
     @property
     def coloured(self) -> bool:
-        """True if the residuals of a signal are not white."""
+        """True if the residuals of at least one signal are not white."""
         return not all(one.white for each in self.whiteness for one in each.values())
 
     @property
     def spread(self) -> Array:
-        """Covariance of the logarithms that intervals use: the robust one if residuals are coloured."""
+        """Covariance from which intervals are computed: `robust` if residuals are coloured, else `covariance`."""
         return self.robust if self.coloured else self.covariance
 
     @cached_property
@@ -358,10 +360,11 @@ class Estimate:
         return value * float(np.exp(-width)), value * float(np.exp(width))
 
     def combination(self, powers: Mapping[str, float]) -> tuple[float, float]:
-        """Returns a product of powers of parameters, and the standard deviation of its logarithm.
+        """Returns the value of a product of powers of parameters, and the standard deviation of its logarithm.
 
         Args:
-            powers: power of each parameter; those that were held count as known, as the product does not depend on them.
+            powers: power of each parameter. Held parameters count as known, because the product does not depend on their
+                values.
         """
         weights = np.array([powers.get(name, 0.0) for name in self.free])
         value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))
@@ -369,17 +372,18 @@ class Estimate:
 
     @property
     def fits(self) -> list[dict[str, float]]:
-        """Share of each signal's rms about its mean that the prediction explains, of each experiment."""
+        """For each experiment, the fit of each signal: 1 - rms of the residuals / standard deviation of the signal."""
         return measured_fits(self.problem.experiments, self.differences)
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """Product of each free parameter with held ones that the logs determine: powers, by name."""
+        """For each free parameter, the product with powers of held parameters that the logs determine: powers by name."""
         if not self.directions:
             return {}
         N = np.array([[one.powers.get(name, 0.0) for one in self.directions] for name in (*self.free, *self.held)])
         own, held = N[: len(self.free)], N[len(self.free) :]
-        shares = np.linalg.solve(held.T, own.T).T  # own = shares held, so log own - shares log held does not move
+        # own = shares @ held, so log(own parameters) - shares @ log(held parameters) is the same for any held values
+        shares = np.linalg.solve(held.T, own.T).T
         return {
             name: {name: 1.0, **{other: -_tidy(share) for other, share in zip(self.held, row, strict=True) if _tidy(share)}}
             for name, row in zip(self.free, shares, strict=True)
@@ -387,7 +391,7 @@ class Estimate:
 
 
 def measured_fits(experiments: Sequence[Experiment], differences: Sequence[Array]) -> list[dict[str, float]]:
-    """Returns the share of each signal's rms about its mean that a prediction explains, of each experiment."""
+    """Returns for each experiment the fit of each signal: 1 - rms of the residuals / standard deviation of the signal."""
     each = list[dict[str, float]]()
     for one, difference in zip(experiments, differences, strict=True):
         each.append({})
@@ -399,13 +403,13 @@ def measured_fits(experiments: Sequence[Experiment], differences: Sequence[Array
 
 
 def start_and_offsets(problem: IdentificationProblem) -> list[Array]:
-    """Returns predicted less measured signals with the first values, and the starts and offsets that fit best."""
+    """Returns predicted minus measured signals for the initial parameters, with the best fit of starting states and offsets."""
     residuals = _Residuals(problem, (), {})
     return residuals.differences(_first(residuals), True)
 
 
 def _tidy(number: float) -> float:
-    """Returns the nearest small fraction if a number is that but for rounding."""
+    """Returns the nearest multiple of 1/12 if a number equals it up to rounding."""
     near = round(12 * number) / 12
     return near if abs(near - number) < 1e-4 else float(number)
 
@@ -414,11 +418,11 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     """Identifies parameters.
 
     Args:
-        free: names of the parameters to estimate; the others keep their first values.
-        seed: seed of further starts, if the first one leads to a poor fit.
+        free: names of the parameters to estimate; the others keep their initial values.
+        seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:
-        InputError: there is nothing to estimate, or no start leads to a solution.
+        InputError: there is nothing to estimate, or the search from every starting point fails.
     """
     if not free:
         raise InputError(f"no parameter is free; free one of {list_names(problem.first)} with --free")
@@ -443,9 +447,9 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
 
 
 def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
-    """Returns the standard deviation of the logarithm of each parameter at the first values: the bound of Cramer and Rao.
+    """Returns the Cramer-Rao bound on the standard deviation of each parameter's logarithm at the initial values.
 
-    It is infinite for a parameter that the signals do not determine.
+    The bound is infinite for a parameter that the signals do not determine.
     """
     free = tuple(problem.first)
     of = _Residuals(problem, free, {})
@@ -462,9 +466,9 @@ def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
 
 
 def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the solution from the first values on; None if it does not fit as well as a deviance.
+    """Returns the solution of a search from the initial values; None if its deviance is larger than the given one.
 
-    A start that is far from a solution is not followed.
+    If the starting point is far from a solution, the search is not run.
     """
     of = _Residuals(problem, free, {})
     x = _first(of)
@@ -475,7 +479,7 @@ def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float)
 
 
 def _first(of: _Residuals, shift: Array | None = None) -> Array:
-    """Returns the first unknowns: parameters as given, and the starts and offsets that fit best with these."""
+    """Returns the initial unknowns: the given parameters, and the starting states and offsets that fit best with them."""
     u, x = of.unknowns, np.zeros(of.unknowns.size)
     p = len(u.free)
     x[:p] = [of.coordinate(name, of.fixed[name]) for name in u.free]
@@ -492,10 +496,10 @@ def _first(of: _Residuals, shift: Array | None = None) -> Array:
 
 
 def _solve(of: _Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST) -> tuple[Array, dict[str, float], float]:
-    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate.
+    """Returns the maximum-likelihood unknowns, the noise and the deviance. Unknowns and noise are estimated alternately.
 
     Args:
-        rounds: number of rounds at most, of at most so many evaluations each.
+        rounds: largest number of rounds, each with a limited number of evaluations.
     """
     noise = of.noise(x)
     for _ in range(rounds):
@@ -507,7 +511,7 @@ def _solve(of: _Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST) -> 
 
 
 def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: int = MOST) -> Array:
-    """Returns the unknowns of the least squares of residuals over a noise, after at most so many evaluations."""
+    """Returns the unknowns that minimise the squares of the residuals over the noise, after at most `most` evaluations."""
     from scipy.optimize import least_squares
 
     def jacobian(x: Array, noise: Mapping[str, float]) -> Array:
@@ -520,7 +524,7 @@ def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: i
         elif name in of.problem.lowest:
             least[i] = of.coordinate(name, of.problem.lowest[name])
     bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
-    inside = np.maximum(x, least + 1e-3)  # a start on a bound stalls
+    inside = np.maximum(x, least + 1e-3)  # a search that starts on a bound stalls
     by_unknown: Any = jacobian
     return least_squares(
         lambda x, noise: of.reduced(x, noise)[1], inside, by_unknown, args=(noise,), max_nfev=most, **bounds, **TOLERANCES
@@ -528,7 +532,7 @@ def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: i
 
 
 def _finite(residuals: Array) -> Array:
-    """Returns residuals that an unstable vehicle overflows as large ones, from which steps turn back."""
+    """Returns the residuals with large numbers instead of overflows (unstable vehicles), so that the search turns back."""
     return np.nan_to_num(np.clip(residuals, -1e12, 1e12), nan=1e12)
 
 
@@ -542,7 +546,7 @@ def _deviance(of: _Residuals, x: Array, noise: Mapping[str, float]) -> float:
 
 
 def _poor(of: _Residuals, x: Array) -> bool:
-    """Returns True if a signal's residuals are not white and have more than a share of its mean square."""
+    """Returns True if a signal's residuals are not white, and the fit explains less than `POOR` of the signal's mean square."""
     for each, one in zip(of.differences(x, True), of.problem.experiments, strict=True):
         for name, values in zip(one.signals, each.T, strict=True):
             if np.nanmean(values**2) > (1 - POOR) * of.scale[name] ** 2 and not whiteness(values).white:
@@ -551,13 +555,14 @@ def _poor(of: _Residuals, x: Array) -> bool:
 
 
 def _information(R: Array, p: int) -> tuple[Array, Array]:
-    """Returns the information on the first p unknowns beside all others, and how these move with the former.
+    """Returns the information on the first p unknowns if all others are also unknown, and how the others compensate for them.
 
     Args:
-        R: the derivatives of all residuals, or the R of their QR decomposition, shape (k, u).
+        R: derivatives of all residuals by the u unknowns, or the factor R of their QR decomposition, shape (k, u).
 
     Returns:
-        R with R'R = the information, shape (p, p), and C, shape (u - p, p): the others' columns C are what they explain of the p.
+        R, where R'R is the information, shape (p, p), and C, shape (u - p, p). The columns of the others times C are the part of
+        the first p columns that the others can also produce.
     """
     own, others = R[:, :p], R[:, p:]
     C = np.linalg.lstsq(others, own)[0] if others.shape[1] else np.zeros((0, p))
@@ -565,9 +570,9 @@ def _information(R: Array, p: int) -> tuple[Array, Array]:
 
 
 def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
-    """Returns the parameters to hold, those that no signal feels, and the directions that move no signal, at some unknowns."""
+    """Returns the parameters to hold, the parameters that affect no signal, and the directions along which no signal changes."""
     free, p = of.unknowns.free, len(of.unknowns.free)
-    # At the first values the derivative by a logarithm is that by the unknown, also of a parameter that may be zero.
+    # At the initial values, the derivatives by a parameter's logarithm and by its unknown are equal, even if it may be zero.
     R, _ = _information(of.reduced(x, of.scale)[0], p)
     sizes = np.linalg.norm(R, axis=0)
     silent = tuple(name for name, size in zip(free, sizes, strict=True) if size <= SINGULAR * sizes.max(initial=0.0))
@@ -575,7 +580,7 @@ def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ..
     if not felt:
         return (), silent, ()
     _, s, V = np.linalg.svd(R[:, felt] / sizes[felt])
-    # Columns are scaled to 1 to find the rank. Their directions follow in logarithms.
+    # Columns are scaled to length 1 to find the rank. The directions are then converted back to logarithms.
     null = (V[s <= SINGULAR * s[0]] / sizes[felt]).T
     if not null.size:
         return (), silent, ()
@@ -603,7 +608,7 @@ def _estimate(
     silent: tuple[str, ...],
     directions: tuple[Direction, ...],
 ) -> Estimate:
-    """Returns the estimate of a solution with covariances and whiteness."""
+    """Returns the estimate for a solution, with covariances and whiteness tests."""
     x, noise, deviance = solution
     u, p = of.unknowns, len(of.unknowns.free)
     whole, _ = of.reduced(x, noise)
@@ -646,8 +651,8 @@ def _estimate(
 def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
 
-    A side is open if the likelihood does not fall as far as at the end of an interval. The parameter then moved by a factor of
-    8000, or to zero if it may be zero. If residuals are coloured, the likelihood counts for less, as in the robust covariance.
+    A side is open if the likelihood does not fall to the level of an interval's end, even when the parameter changes by a factor
+    of 8000 or reaches zero. If residuals are coloured, the required fall is larger, as in the robust covariance.
     """
     from scipy.optimize import brentq
 
@@ -663,7 +668,7 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
         if shift in levels:
             return levels[shift]
         value = own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift))
-        # Known values stay first values, so that the unknowns of the others keep their meaning.
+        # The initial values stay unchanged, because the unknowns of the other parameters are relative to them.
         fixed = _Residuals(replace(of.problem, first={**own.fixed, name: value}), others, {})
         solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))], WARM, FEW)
         warm[shift] = solution[0]

@@ -1,6 +1,6 @@
-"""Experiments: one stretch of a measured log, at equidistant times, with what drove the vehicle and what sensors measured.
+"""Experiments: a stretch of a measured log at equidistant times, with the inputs of the vehicle and the sensor signals.
 
-On a dyno a part of the vehicle is moved alone: its extension is given, and its force is measured.
+On a dyno, one part of the vehicle is moved alone. Its extension is given, and its force is measured.
 """
 
 from collections.abc import Mapping
@@ -12,12 +12,13 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import VehicleKind
 
-EXTENSION, FORCE = "part_extension", "part_force"  # of a part on a dyno, from rest; positive if it pulls the ends together
+# Part on a dyno: extension from equilibrium, and force, positive if it pulls the ends together
+EXTENSION, FORCE = "part_extension", "part_force"
 OF_PARTS: Mapping[str, str] = {EXTENSION: "m", FORCE: "N"}  # units
 
 
 def signal_units(kind: VehicleKind) -> dict[str, str]:
-    """Returns the units of all signals that a log may have, by name."""
+    """Returns the units of all signals that a log may contain, by name."""
     return {**{name: one.unit for name, one in kind.possible.items()}, **OF_PARTS}
 
 
@@ -27,9 +28,9 @@ class Channel:
 
     Attributes:
         signal: name of the vehicle's signal.
-        values: measured values in SI units, shape (T,); NaN for a missing value, or one that does not count.
+        values: measured values in SI units, shape (T,); NaN for a missing or unusable value.
         noise: rms of the sensor's noise, in the signal's unit; None if it is estimated.
-        delay: delay of the sensor [s], or its first value if it is estimated.
+        delay: delay of the sensor [s], or the initial value of a delay that is estimated.
         delay_estimated: True if the delay is estimated.
         offset_estimated: True if a constant offset is estimated.
     """
@@ -52,19 +53,21 @@ class Experiment:
     """One stretch of a log.
 
     Attributes:
-        name: name of the log, and of the stretch if the log has several.
+        name: name of the log, followed by the name of the stretch if the log has several.
         step: time between samples [s].
-        road: road heights under the r wheels [m], or with `hubs` their vertical accelerations [m/s2], shape (T, r). Between
-            samples they follow straight lines.
+        road: road heights under the r wheels [m], shape (T, r); with `hubs`, vertical accelerations of the r hubs [m/s2]. They
+            are interpolated linearly between samples.
         forces: control forces [N], shape (T, m).
         channels: measured signals.
         added: additions to parameters of the vehicle file, such as a payload, by name [SI].
-        from_rest: True if the vehicle starts at rest on the first height; else its state at the start is estimated.
+        from_rest: True if the vehicle starts in equilibrium on the first height; False if the starting state is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
-        forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.
-        road_held: True if each height is held midway to the next one over a step, as MuJoCo holds a road.
-        part: name of a force element of the vehicle that a dyno moves alone; empty for a vehicle. The road is its extension then.
-        start: time of the first sample in the log's own clock [s].
+        forces_held: True if each force is held until the next sample, as by a computer; False if forces are interpolated
+            linearly.
+        road_held: True if the height halfway between two samples is held over the step, as in MuJoCo.
+        part: name of a force element of the vehicle that a dyno moves alone; empty for a vehicle. `road` is then the extension of
+            the part.
+        start: time of the first sample on the log's clock [s].
     """
 
     name: str
@@ -89,7 +92,7 @@ class Experiment:
 
     @property
     def time(self) -> Array:
-        """Sample times in the log's own clock [s], shape (T,)."""
+        """Sample times on the log's clock [s], shape (T,)."""
         return self.start + self.step * np.arange(len(self.road))
 
     @property

@@ -1,4 +1,4 @@
-"""Identification of a vehicle from logs: what is free, the estimate, what it is worth, and the vehicle that results."""
+"""Identification of a vehicle from logs: free parameters, estimate, intervals, checks, and the resulting vehicle."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -33,13 +33,13 @@ from sim.studies.identification.reading import LEAST, LogStretches, read_experim
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
 
-LOWEST = 1e-6  # a positive number may be smaller; a range that begins above this limits the search
-UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are free without --free
-SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0
-SKEWED = 0.2  # standard deviation of a logarithm from which the interval comes from the profile of the likelihood
-AFTER = 0.5  # s after a landing in which samples do not count: the tyre is not linear there
-NAMED = 0.5  # share of the residuals' squares with named causes, from which a resonance is not looked for
-ANOTHER = 0.1  # difference of a logarithm from which a solution is another one
+LOWEST = 1e-6  # if the allowed range of a number begins above this, the search respects its lower end
+UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # units of the parameters that are free by default
+SMALL_START = 0.02  # initial value, relative to critical damping, of a damping that is 0 in the file
+SKEWED = 0.2  # standard deviation of a logarithm above which the interval is computed from the profile likelihood
+AFTER = 0.5  # s after a landing in which samples are not used, because the tyre is not linear there
+NAMED = 0.5  # share of the residuals' squares above which the reported causes suffice, and resonances are not searched for
+ANOTHER = 0.1  # difference of a logarithm above which two solutions are different
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,8 @@ class Interval:
     """95 % interval of a parameter.
 
     Attributes:
-        low, high: ends; None for an open side.
-        method: covariance, robust, or profile.
+        low, high: ends of the interval; None for an open side.
+        method: "covariance", "robust" (covariance for coloured residuals) or "profile" (profile likelihood).
     """
 
     low: float | None
@@ -62,13 +62,14 @@ class Identification:
 
     Attributes:
         estimate: the estimate.
-        intervals: interval of each free parameter that the logs determine alone.
+        intervals: 95 % interval of each free parameter that the logs determine by itself, by name.
         causes: causes of a misfit in the residuals.
         remarks: remarks on logs and columns.
-        mirror: values of another solution that fits as well, by name; empty if none is known.
-        held_out: share of the rms of each signal that the prediction explains in logs that were not used, by experiment.
-        in_mujoco: largest difference of MuJoCo from the prediction, over each signal's peak; empty if nothing was simulated.
-        allowed: results of controllers over the vehicles that the logs allow, if requested.
+        mirror: parameter values of a second solution that fits equally well, by name; empty if none is known.
+        held_out: fit of each signal in logs that were not used for the estimate, by experiment.
+        in_mujoco: largest difference between MuJoCo and the prediction relative to the peak, by signal; empty if nothing was
+            simulated.
+        allowed: results of controllers over the vehicles that are consistent with the logs, if requested.
     """
 
     estimate: Estimate
@@ -87,12 +88,12 @@ class Identification:
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Free parameters whose value the logs determine alone."""
+        """Free parameters that the logs determine by themselves, rather than only in a product."""
         return tuple(self.intervals)
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other values; the number of a table's parameter, its slope at rest, multiplies the whole table."""
+    """Returns a vehicle with other values. A table in place of a parameter is scaled so that its slope in equilibrium fits."""
     optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
     if missing := {name: value for name, value in values.items() if name in optional}:
         vehicle = vehicle.altered(missing)
@@ -106,13 +107,13 @@ def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
 def free_parameters(
     vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[str] = (), parts: Collection[str] = ("",)
 ) -> dict[str, float]:
-    """Returns the first values of the free parameters: masses, inertias, stiffnesses and dampings that the file has above zero.
+    """Returns the initial values of the free parameters: masses, inertias, stiffnesses and dampings above zero in the file.
 
     Args:
-        fix: names that keep their values.
-        free: further names; a damping that the file has as zero starts at a small value.
-        parts: names of the parts whose logs are given, with an empty one for logs of the vehicle. A part on a dyno has its
-            numbers free, but for those of a voltage. If all logs are of parts, the parameters of the vehicle are not free.
+        fix: names of parameters that keep their values.
+        free: names of further free parameters; a damping that is zero in the file starts at a small value.
+        parts: names of the parts whose logs are given; the empty name stands for logs of the vehicle. All numbers of a part on a
+            dyno are free except voltages and bandwidths. If all logs are of parts, the parameters of the vehicle are not free.
 
     Raises:
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.
@@ -139,7 +140,7 @@ def free_parameters(
 
 
 def element_numbers(vehicle: Vehicle) -> dict[str, tuple[float, SI]]:
-    """Returns the numbers of force elements, each with its unit and range, by NAME.key."""
+    """Returns the numbers of force elements, each with its unit and range; the names are NAME.key."""
     return {key: one for element in vehicle.elements for key, one in element.numbers.items()}
 
 
@@ -164,16 +165,16 @@ def identify(
     """Identifies the parameters of a vehicle from logs.
 
     Args:
-        logs: files of logs, see `sim.studies.identification.reading`.
-        vehicle: vehicle with first values. All that is not free stays as it is.
-        log_map: map of columns to signals; None for logs whose headings are names of signals.
+        logs: files of logs; see `sim.studies.identification.reading` for their formats.
+        vehicle: vehicle with the initial values. Everything that is not free stays unchanged.
+        log_map: map from columns to signals; None for logs whose headings are names of signals.
         fix: parameters that keep their values.
         free: further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
-        hold_out: logs that are only predicted.
-        seed: seed of further starts.
+        hold_out: logs that are predicted for comparison, but not used for the estimate.
+        seed: random seed of further starting points.
 
     Raises:
-        InputError: a file is wrong, a column has another unit or sign, or the logs determine nothing.
+        InputError: a file is wrong, a column seems to have another unit or sign, or the logs determine no parameter.
     """
     own = log_map if isinstance(log_map, LogMap) else read_map(log_map, vehicle)
     named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
@@ -222,7 +223,7 @@ def identify_experiments(
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
-    """Returns the problem without the times in the air, each later stretch with a state of its own."""
+    """Returns the problem without the times in the air. Each stretch after them has its own starting state."""
     experiments, remarks, lifted = list[Experiment](), list[str](), dict(air)
     for i, one in enumerate(problem.experiments):
         if i not in lifted:
@@ -253,10 +254,10 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
 
 
 def _mirror(of: Estimate) -> dict[str, float]:
-    """Returns another solution of a quarter-car that fits as well: suspension and tyre in each other's place.
+    """Returns a second solution of a quarter-car that fits equally well, in which suspension and tyre are exchanged.
 
-    With a damped tyre, the body's motion alone cannot tell k_s, c_s, k_t, c_t from k_t m, c_t m, k_s / m, c_s / m with
-    m = m_s / (m_s + m_u).
+    With a damped tyre, the body's motion alone cannot distinguish the stiffnesses and dampings k_s, c_s of the suspension and
+    k_t, c_t of the tyre from k_t m, c_t m and k_s / m, c_s / m, where m = m_s / (m_s + m_u) is the sprung share of the mass.
     """
     names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")
     if any(name not in of.free for name in names) or "sprung_mass" not in of.problem.vehicle.parameters:
@@ -272,7 +273,7 @@ def _mirror(of: Estimate) -> dict[str, float]:
 
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
-    """Returns the fits of a log that was not used; its start and offsets are estimated."""
+    """Returns the fits of a log that was not used for the estimate. Only its starting state and offsets are estimated."""
     problem = replace(of.problem, first=of.values, experiments=log.experiments, known=())
     fits = measured_fits(problem.experiments, start_and_offsets(problem))
     return list(zip(problem.experiments, fits, strict=True))

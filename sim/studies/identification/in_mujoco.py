@@ -1,4 +1,4 @@
-"""The identified vehicle through MuJoCo, over the road of an experiment: an independent check of the prediction."""
+"""Independent check of the prediction: the identified vehicle is simulated in MuJoCo over the road of an experiment."""
 
 from dataclasses import replace
 
@@ -7,14 +7,14 @@ import numpy as np
 from models.roads.rig import Rig
 from sim.studies.identification.estimate import Estimate
 
-TIMESTEP = 1e-3  # s, largest of the simulation
-MOST = 60.0  # s of an experiment that is simulated
+TIMESTEP = 1e-3  # s, largest timestep of the simulation
+MOST = 60.0  # s, longest part of an experiment that is simulated
 
 
 def difference_in_mujoco(of: Estimate) -> dict[str, float]:
-    """Returns the largest difference of MuJoCo from the prediction, over each signal's peak, of the first experiment.
+    """Returns the largest difference between MuJoCo and the prediction in the first experiment, relative to each signal's peak.
 
-    It is empty if forces act there, a part is alone on a dyno, or the road is unknown: no law repeats the forces of a log.
+    The result is empty if control forces act, a part is alone on a dyno, or the road is unknown: these cannot be simulated.
     """
     from sim.runs.run import run_controllers
     from synth.vehicle.designer import design

@@ -1,4 +1,4 @@
-"""Maps of logs (TOML): columns of signals, their sensors, and what drove the vehicle."""
+"""Maps of logs (TOML files): the column and the sensor of each signal, and the inputs of the vehicle."""
 
 # road = "logged"                      # or "flat", "unknown", or a road as `roadproof drive --road` takes it, with a speed
 # start = "estimated"                  # or "rest"
@@ -55,7 +55,7 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float | None:
 
 @dataclass(frozen=True)
 class SensorSection(Section):
-    """[signals.NAME]: a signal of the vehicle and its sensor. None stands for "estimate"."""
+    """[signals.NAME]: a signal of the vehicle and its sensor. None means that the value is estimated."""
 
     column: Annotated[str, Text("heading of the column, with the unit in brackets if the file gives none")] = ""
     sign: Annotated[int, ReadBy("1, or -1 for a sensor that counts the other direction as positive", _sign)] = 1
@@ -66,7 +66,7 @@ class SensorSection(Section):
 
 @dataclass(frozen=True)
 class LogKeys(Section):
-    """Keys of the map for all logs, or for one."""
+    """Keys of a map, for all logs or for one log."""
 
     road: Annotated[str, Text("logged, flat, unknown, or a road as for roadproof drive")] = LOGGED
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
@@ -85,7 +85,7 @@ class LogKeys(Section):
 
 @dataclass(frozen=True)
 class MapFile(LogKeys):
-    """A map: its keys for all logs, then its tables."""
+    """Content of a map: keys for all logs, then tables."""
 
     signals: Annotated[Mapping[str, Any], AnyTable("signals by name")] = field(default_factory=dict[str, Any])
     known: Annotated[Mapping[str, Any], AnyTable("known parameters")] = field(default_factory=dict[str, Any])
@@ -99,9 +99,9 @@ class LogMap:
     Attributes:
         keys: keys for all logs.
         sensors: section of each signal in the map, by name.
-        known: combinations of parameters that are known.
-        of_logs: keys of single logs, by file name.
-        source: path of the map; empty without one.
+        known: known combinations of parameters.
+        of_logs: keys that apply to single logs, by file name.
+        source: path of the map; empty if there is no map file.
     """
 
     keys: LogKeys = field(default_factory=LogKeys)
@@ -111,12 +111,12 @@ class LogMap:
     source: str = ""
 
     def of(self, log: Path) -> LogKeys:
-        """Returns the keys of a log."""
+        """Returns the keys that apply to a log."""
         return self.of_logs.get(log.name, self.keys)
 
 
 def read_map(path: Path | None, vehicle: Vehicle) -> LogMap:
-    """Reads a map; without a path, that of logs whose columns have the names of signals.
+    """Reads a map. Without a path, it returns a map for logs whose columns have the names of signals.
 
     Raises:
         InputError: the file is not a map of this vehicle.
@@ -166,7 +166,7 @@ def _known(name: str, table: Any, vehicle: Vehicle, units: Mapping[str, str]) ->
 
 
 def corner_weights(vehicle: Vehicle) -> dict[str, float]:
-    """Returns the static load of each tyre [N], by `corner_weight` and the suffix of its corner."""
+    """Returns the static load of each tyre [N]; the names are `corner_weight` and the suffix of the corner."""
     model, p = vehicle.kind, vehicle.parameters
     compressions, loads = model.static_tyre_deflection(p), dict[str, float]()
     for tyre, compression in compressions.items():

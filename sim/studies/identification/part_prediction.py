@@ -1,12 +1,12 @@
-"""Force of a part over a measured motion, as a dyno measures it, and its derivatives by the part's numbers.
+"""Force of a part under a measured motion, as on a dyno, and the derivatives of the force by the part's numbers.
 
-The extension d follows a cubic spline through its samples, and v is its rate. The states z of the part follow z' = f(d, v, z) of
-the part itself (`models.parts`). The trapezoidal rule
+The extension d is a cubic spline through its samples, and v is the rate of d. The internal states z of the part satisfy z' = f(d,
+v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
 
     z[k+1] - z[k] = h/2 (f[k] + f[k+1])
 
-on fine steps h is solved for all steps at once by Newton's method: its matrix is banded, as each equation has two neighbours
-only. The same matrix gives the derivatives of z by numbers of the part and by z[0].
+on fine steps h is solved for all steps simultaneously by Newton's method. Each equation contains two consecutive steps only, so
+the matrix is banded. The same matrix gives the derivatives of z by the part's numbers and by z[0].
 """
 
 import math
@@ -22,19 +22,19 @@ from models.parts.part import STEP, Part
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 
-RELATIVE = 1e-6  # step of differences of the law, upwards: an exponent may be at its least value
+RELATIVE = 1e-6  # relative step of finite differences; only upwards, because a number may be at its smallest allowed value
 FINE, FINEST = 4, 64  # steps between samples
-RATE = 0.5  # of the part's states times the fine step, at the largest speed
+RATE = 0.5  # largest rate of the part's states times the fine step, at the largest speed
 TURNS = 40  # of Newton's method
-SETTLED = 1e-10  # relative change of z at its end
-FAR = 1e12  # N, the force of a part whose states diverge: the search turns back
+SETTLED = 1e-10  # relative change of z at which Newton's method ends
+FAR = 1e12  # N, force that replaces the force of a part whose states diverge, so that the search turns back
 
 
 class PartPrediction(LogPrediction):
-    """Force of the part of an experiment, see `Experiment.part`."""
+    """Predicted force of a part on a dyno; see `Experiment.part`."""
 
     def part(self, vehicle: Vehicle) -> Part:
-        """Returns the part in a vehicle.
+        """Returns the experiment's part of a vehicle.
 
         Raises:
             InputError: the vehicle does not have it.
@@ -47,12 +47,13 @@ class PartPrediction(LogPrediction):
 
     @cached_property
     def _motion(self) -> tuple[Array, Array, int]:
-        """Extension and its rate at all fine steps, shape (K,), and the number of fine steps between samples."""
+        """Extension and extension rate at all fine steps, each of shape (K,), and the number of fine steps per sample."""
         from scipy.interpolate import CubicSpline
 
         one = self.experiment
         travel, time = CubicSpline(one.time, one.road[:, 0]), one.time
-        fastest = self.part(self.vehicle({})).fastest * float(np.abs(travel(time, 1)).max()) / 2.0  # it is that at 2 m/s
+        # `fastest` is the rate at 2 m/s
+        fastest = self.part(self.vehicle({})).fastest * float(np.abs(travel(time, 1)).max()) / 2.0
         fine = min(max(math.ceil(fastest * one.step / RATE), FINE), FINEST)
         at = one.start + one.step / fine * np.arange((len(time) - 1) * fine + 1)
         return travel(at), travel(at, 1), fine
@@ -65,7 +66,7 @@ class PartPrediction(LogPrediction):
         delays: Sequence[float],
         derivatives: bool = True,
     ) -> PredictedSignals:
-        """Returns predicted forces. Arguments as for `LogPrediction`."""
+        """Returns predicted forces. The arguments are those of `LogPrediction`."""
         d, v, fine = self._motion
         part = self.part(self.vehicle(values))
         n, p = len(part.states), len(free)
@@ -87,7 +88,7 @@ class PartPrediction(LogPrediction):
         return self._sampled(columns, p, fine, delays)
 
     def _sampled(self, columns: Sequence[Array], p: int, fine: int, delays: Sequence[float]) -> PredictedSignals:
-        """Returns columns on fine steps at the times that sensors with delays read: the force, and its p and n derivatives."""
+        """Returns the signals at the sample times, with sensor delays. Columns: force, derivatives by p numbers and n states."""
         time = self.experiment.time
         at = self.experiment.start + self.experiment.step / fine * np.arange(len(columns[0]))
         rate = np.gradient(columns[0], self.experiment.step / fine)
@@ -99,7 +100,7 @@ class PartPrediction(LogPrediction):
         return self.experiment.step / self._motion[2] * (rates[1:] + rates[:-1]) / 2
 
     def _solved(self, part: Part, z0: Array) -> tuple[Array, Array]:
-        """Returns the states at all fine steps, shape (K, n), and the bands of the matrix of their equations."""
+        """Returns the states at all fine steps, shape (K, n), and the bands of the Jacobian matrix of the equations."""
         d, v, fine = self._motion
         half, n = self.experiment.step / fine / 2, len(z0)
         z, bands = np.tile(z0, (len(d), 1)), np.zeros((3 * n - 1 if n else 0, len(d) * n))
@@ -107,7 +108,7 @@ class PartPrediction(LogPrediction):
             J = np.stack([np.imag(part.rate(d, v, z + STEP * 1j * one)) / STEP for one in np.eye(n)], axis=-1)
             bands[:] = 0.0
             for i in range(n):
-                for j in range(n):  # of equation (k, i) by unknown (k, j), and by unknown (k - 1, j)
+                for j in range(n):  # derivatives of equation (k, i) by unknown (k, j), and by unknown (k - 1, j)
                     bands[n - 1 + i - j, j::n] = (i == j) - half * J[:, i, j] * (np.arange(len(d)) > 0)
                     bands[2 * n - 1 + i - j, j : -n or None : n] = -(i == j) - half * J[:-1, i, j]
             error = np.vstack([z[:1] - z0, np.diff(z, axis=0) - self._mean(part.rate(d, v, z))])

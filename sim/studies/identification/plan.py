@@ -1,7 +1,7 @@
-"""Plans of a test: how well chirps of a rig would determine the parameters, before anything is driven.
+"""Plans of a rig test: predicts how accurately chirps would determine the parameters.
 
-The covariance of the estimate follows from the vehicle, the sensors and their noise alone (the bound of Cramer and Rao). The
-amplitude of each chirp is the largest with which every wheel stays on its post with a reserve.
+The covariance of the estimate is predicted from the vehicle, the sensors and the sensor noise (Cramer-Rao bound). Each chirp has
+the largest amplitude at which every wheel stays on its post, with a reserve.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,24 +19,24 @@ from sim.studies.identification.identification import changed, free_parameters
 from sim.studies.identification.log_map import LogMap
 from sim.studies.identification.prediction import LogPrediction
 
-RESERVE = 0.8  # share of the static compression of a tyre, and of a suspension's travel, that the motion may have
+RESERVE = 0.8  # share of the static tyre compression and of the suspension travel that the motion may use
 DURATIONS = (10.0, 30.0, 60.0)  # s
 BANDS = ((0.5, 5.0), (0.5, 20.0), (2.0, 20.0))  # Hz
-LARGEST = 0.05  # m, amplitude of a rig's post
-TRAVEL = 0.06  # m, of a suspension, each way
+LARGEST = 0.05  # m, largest amplitude of a post of the rig
+TRAVEL = 0.06  # m, assumed suspension travel in each direction
 STEP = 0.005  # s
-APART = 0.3  # relative difference of the first frequencies of two posts
+APART = 0.3  # relative difference between the starting frequencies of two posts
 
 
 @dataclass(frozen=True)
 class ChirpPlan:
-    """A chirp and what it determines.
+    """A chirp, and the accuracy with which it determines the parameters.
 
     Attributes:
         duration: length of the chirp [s].
-        low, high: frequencies at start and end [Hz].
-        amplitude: largest height [m].
-        deviations: relative standard deviation of each parameter; infinite for one that it does not determine.
+        low, high: frequencies at the start and at the end [Hz].
+        amplitude: amplitude of the post's motion [m].
+        deviations: relative standard deviation of each parameter; infinite if the chirp does not determine the parameter.
     """
 
     duration: float
@@ -62,22 +62,22 @@ PLAN = Record[ChirpPlan](*PLANS, deviations="deviations")
 
 
 def chirp(duration: float, low: float, high: float, step: float) -> Array:
-    """Returns a chirp of amplitude 1 whose frequency grows exponentially [Hz], with a fade-in of one period, shape (T,)."""
+    """Returns a chirp of amplitude 1 whose frequency [Hz] grows exponentially, with a fade-in of one period, shape (T,)."""
     time = np.arange(0, duration + step / 2, step)
     scale = duration / np.log(high / low)
     return np.minimum(time * low, 1.0) * np.sin(2 * np.pi * low * scale * (np.exp(time / scale) - 1))
 
 
 def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[ChirpPlan]:
-    """Returns chirps on all posts, those first whose worst relative standard deviation is the smallest.
+    """Returns chirps for all posts, sorted by their worst relative standard deviation, the best first.
 
-    The posts of several wheels start at different frequencies, so that no motion of the body is missing.
+    Different posts start at different frequencies, so that all modes of the body are excited.
 
     Args:
-        log_map: the sensors: signals with their noise.
+        log_map: map with the sensors and their noise.
 
     Raises:
-        InputError: a sensor has no noise.
+        InputError: the map contains no noise for a sensor.
     """
     silent = [name for name, one in log_map.sensors.items() if one.noise is None and not name.startswith("road")]
     sensors = {name: one.noise for name, one in log_map.sensors.items() if one.noise is not None}
@@ -99,7 +99,7 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
 
 
 def _loads(vehicle: Vehicle, road: Array) -> float:
-    """Returns the largest motion of a tyre over its static compression, or of a suspension over its travel, per metre of road."""
+    """Returns the largest ratio of tyre motion to static compression, or of suspension motion to travel, per metre of road."""
     limits = {name: abs(one) for name, one in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()}
     limits |= {place.deflection: TRAVEL for place in vehicle.kind.suspensions}
     names = [name for name in limits if name in vehicle.linear_model.outputs]

@@ -1,16 +1,18 @@
-"""Signals of a vehicle over a measured road, and their derivatives by its parameters.
+"""Signals of a vehicle over a measured road, and the derivatives of the signals by the vehicle's parameters.
 
 A vehicle with straight springs and dampers has
 
     x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
 
-with the road heights and forces v, which follow straight lines between samples. The matrix exponential of [x; v; v'] then gives
-the exact step from sample to sample. It also gives the measurements at any time within the step: those of a sensor with a delay.
+where v contains the road heights and control forces. They are interpolated linearly between samples, so a matrix exponential for
+[x; v; v'] gives the exact step from sample to sample. It also gives the measurements of a delayed sensor at any time within the
+step.
 
-Matrices of the step are differentiated by central differences. The recursion of the response itself then gives
-the derivatives of the response. Their error is that of the matrices, about 1e-10, for logs of any length.
+The matrices of a step are differentiated by central differences. The recursion that computes the response then also gives the
+derivatives of the response. Their relative error is about 1e-10 for logs of any length, the same as for the matrices.
 
-A vehicle with force elements or tables takes steps of RK4 (`sim.linear.stepped`). Its derivatives are differences of responses.
+A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). Its derivatives are finite differences of
+responses.
 """
 
 import math
@@ -26,8 +28,8 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Channel, Experiment
 
-DIFFERENCE = 1e-5  # relative step of differences of matrices: their error is its square
-STEPPED_DIFFERENCE = 1e-4  # relative step of differences of responses
+DIFFERENCE = 1e-5  # relative step of finite differences of matrices; the error is the square of the step
+STEPPED_DIFFERENCE = 1e-4  # relative step of finite differences of responses
 HUB, TYRE = "unsprung_velocity", "tyre_deflection"
 
 
@@ -36,10 +38,10 @@ class PredictedSignals:
     """Predicted measurements of an experiment with q channels, and their derivatives.
 
     Attributes:
-        values: shape (T, q); NaN before the first sample that a sensor with a delay can measure.
-        by_parameter: derivative by each of p parameters, per SI unit, shape (p, T, q).
-        by_start: derivative by the n numbers of the state at the start, shape (n, T, q); n = 0 if it is known.
-        by_delay: derivative by the delay of each channel's own sensor, shape (T, q).
+        values: predicted values, shape (T, q); NaN before the first sample that a delayed sensor can measure.
+        by_parameter: derivatives by p parameters, per SI unit, shape (p, T, q).
+        by_start: derivatives by the n components of the starting state, shape (n, T, q); n = 0 if this state is known.
+        by_delay: derivative of each channel by the delay of its sensor, shape (T, q).
     """
 
     values: Array
@@ -50,7 +52,7 @@ class PredictedSignals:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """Matrices of a step: x[k+1] = Phi x[k] + Gamma [v; v'], and the rows of all channels of [x; v; v'] with their rates."""
+    """Matrices of a step, x[k+1] = Phi x[k] + Gamma [v; v'], and rows that give channels and rates from [x; v; v']."""
 
     Phi: Array
     Gamma: Array
@@ -65,11 +67,11 @@ class _Step:
 
 
 class LogPrediction:
-    """Signals of an experiment for any values of the parameters.
+    """Predictor of an experiment's signals for any values of the parameters.
 
     Args:
         experiment: the experiment.
-        vehicle: vehicle of given values of parameters, by name.
+        vehicle: function that returns the vehicle for given parameter values, by name.
     """
 
     def __init__(self, experiment: Experiment, vehicle: Callable[[Mapping[str, float]], Vehicle]) -> None:
@@ -77,19 +79,19 @@ class LogPrediction:
         self._vehicle = vehicle
 
     def vehicle(self, values: Mapping[str, float]) -> Vehicle:
-        """Returns the vehicle as it is in this experiment, with what it carries."""
+        """Returns the vehicle of this experiment, including its payload."""
         one = self._vehicle(values)
         return one.altered({name: one.parameters[name] + more for name, more in self.experiment.added.items()})
 
     @cached_property
     def _inputs(self) -> Array:
-        """Inputs at the samples and their rates over the steps from there, shape (T, 2 v)."""
+        """Inputs at the samples, and their rates over the step after each sample, shape (T, 2 v)."""
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
         wheels = self.experiment.road.shape[1]
         if self.experiment.forces_held:
             rates[:, wheels:] = 0.0
-        if self.experiment.hubs:  # straight lines with the means of cubics: a measured acceleration is smooth
+        if self.experiment.hubs:  # an acceleration is smooth, so each straight line gets the mean value of a cubic
             whole = padded(held[:, :wheels])
             held[:, :wheels] += (whole[1:-2] + whole[2:-1] - whole[:-3] - whole[3:]) / 24
         if self.experiment.road_held:
@@ -99,13 +101,13 @@ class LogPrediction:
 
     @cached_property
     def _at_samples(self) -> Array:
-        """Inputs at the samples with the mean rate of the steps before and after: of a smooth road the rate at the sample."""
+        """Inputs at the samples, with the mean of the rates before and after: the rate at the sample if the road is smooth."""
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
         return np.hstack([held, (rates + np.vstack([rates[:1], rates[:-1]])) / 2])
 
     def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Returns the names of the states that an unknown start has."""
+        """Returns the names of the components of an unknown starting state."""
         names = self.vehicle(values).linear_model.states
         return tuple(name for name in names if not (self.experiment.hubs and name.startswith(TYRE)))
 
@@ -121,10 +123,10 @@ class LogPrediction:
 
         Args:
             values: values of all parameters [SI].
-            free: size of each of p parameters by which the signals are differentiated, by name.
-            start: state at the start, shape (n,); None for rest.
+            free: the p parameters by which the signals are differentiated: typical size, by name.
+            start: state at the start, shape (n,); None for equilibrium.
             delays: delay of each channel [s].
-            derivatives: False to leave the derivatives empty.
+            derivatives: False if derivatives are not needed; they are then empty or zero.
         """
         if self.vehicle(values).parts.nonlinear:
             return self._stepped(values, free, start, delays, derivatives)
@@ -143,24 +145,24 @@ class LogPrediction:
             by_parameter[i] = self._read(one.rows, x, inputs, delays) + self._read(step.rows, dx, None, delays)
         if start is not None:
             by_start = np.zeros((n, *value.shape))
-            for i in range(n):  # the response to a start without input
+            for i in range(n):  # the response to a starting state without input
                 free_motion = recursion(step.Phi, np.zeros_like(x), np.eye(n)[i])
                 by_start[i] = self._read(step.rows, free_motion, None, delays)
         return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, inputs, delays))
 
     def signals(self, names: Sequence[str], values: Mapping[str, float], start: Array | None) -> Array:
-        """Returns other signals of the vehicle, as sensors without delay would measure them, shape (T, len(names))."""
+        """Returns other signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
         channels = tuple(Channel(name, np.zeros(len(self.experiment.road))) for name in names)
         other = LogPrediction(replace(self.experiment, channels=channels), self._vehicle)
         return other(values, {}, start, [0.0] * len(names), False).values
 
     def _read(self, rows: Array, x: Array, inputs: Array | None, delays: Sequence[float]) -> Array:
-        """Returns what each channel reads at each sample, by its row of [x; v; v'] at the sample before its delayed time.
+        """Returns the measurement of each channel at each sample, from [x; v; v'] at the last sample before the delayed time.
 
         Args:
-            rows: shape (q, n + 2 v).
+            rows: row of each channel, shape (q, n + 2 v).
             x: states, shape (T, n).
-            inputs: inputs and their rates, shape (T, 2 v); None for none.
+            inputs: inputs and their rates, shape (T, 2 v); None if there are no inputs.
         """
         h, n, values = self.experiment.step, x.shape[1], np.empty((len(x), len(rows)))
         for i, (row, delay) in enumerate(zip(rows, delays, strict=True)):
@@ -180,7 +182,7 @@ class LogPrediction:
         whole, direct = linalg.expm(M * h), np.hstack([C, Dv, Dd])
         rows, rates = np.empty_like(direct), np.empty_like(direct)
         for i, delay in enumerate(delays):
-            within = math.ceil(delay / h - 1e-9) * h - delay  # time after the sample before
+            within = math.ceil(delay / h - 1e-9) * h - delay  # time since the last sample before it
             at = linalg.expm(M * within) if within > 1e-9 * h else np.eye(len(M))
             rows[i] = direct[i] @ at
             rates[i] = direct[i] @ M @ at
@@ -243,26 +245,26 @@ class LogPrediction:
 
 
 def padded(values: Array) -> Array:
-    """Returns values with one before and two behind, which continue them oddly, shape (T + 3, r)."""
+    """Returns the values extended by one sample before and two after, by point reflection at the ends, shape (T + 3, r)."""
     return np.pad(values, ((1, 2), (0, 0)), mode="reflect", reflect_type="odd")
 
 
 def midpoints(values: Array) -> Array:
-    """Returns values midway to the next sample, by cubics through four samples, shape (T, r); the last value stays."""
+    """Returns values halfway to the next sample, by cubics through four samples, shape (T, r); the last value is unchanged."""
     whole = padded(values)
     middle = (9 * (whole[1:-2] + whole[2:-1]) - whole[:-3] - whole[3:]) / 16
     return np.vstack([middle[:-1], values[-1:]])
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns the parameters with one of them larger and smaller by a step, but not below zero."""
+    """Returns the parameters twice: with one of them larger by a step, and with it smaller by a step but not below zero."""
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 
 
 def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Returns A, Bv, Bd, C, Dv, Dd of an experiment: see the head of this module.
+    """Returns A, Bv, Bd, C, Dv and Dd of an experiment; the module docstring defines them.
 
-    If the road is unknown, the inputs are accelerations of the hubs instead of heights, and there are no tyres.
+    If the road is unknown, the inputs are hub accelerations instead of road heights, and the model contains no tyres.
 
     Raises:
         InputError: the road is unknown, and an inerter couples the hubs with the body.
@@ -272,7 +274,7 @@ def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, A
     r, m = len(model.disturbances), len(model.inputs)
     Bv, Bd = np.hstack([model.Br, model.B]), np.hstack([model.Bw, np.zeros((len(model.A), m))])
     C, Dv, Dd = model.C[rows], np.hstack([model.Cr, model.D])[rows], np.hstack([model.Dw, np.zeros((len(model.C), m))])[rows]
-    if experiment.road_held:  # the road jumps: the states are x less Bd v, which do not
+    if experiment.road_held:  # the road jumps; the states are therefore x - Bd v, which do not jump
         return model.A, Bv + model.A @ Bd, np.zeros_like(Bd), C, Dv + C @ Bd, Dd
     if not experiment.hubs:
         return model.A, Bv, Bd, C, Dv, Dd

@@ -1,4 +1,4 @@
-"""Experiments from the files of logs: columns as signals, stretches of equidistant samples, and samples that do not count."""
+"""Reads experiments from files of logs: assigns columns to signals, and removes unusable samples and gaps."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,29 +17,29 @@ from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Exp
 from sim.studies.identification.log_map import FLAT, HELD, LOGGED, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
 from sim.studies.identification.part_prediction import part_of
 
-GAP = 5  # steps without a sample, beyond which a new stretch begins with a state of its own
+GAP = 5  # number of missing steps above which a new stretch with its own starting state begins
 LEAST = 50  # samples of a stretch
-FROZEN = 12  # equal values in a row of a sensor that otherwise changes from sample to sample: a block that was not measured
-CLIPPED = 3  # equal values in a row at a signal's largest or smallest value
-JITTER = 0.02  # of a step: times that deviate more are not equidistant
-COARSE = 0.5  # share of the road's motion within half the Nyquist frequency that is needed
-MOST_PHASE = 1.0  # rad of the road's usual frequency by errors of times
-DEEP = 1.0  # m: a suspension does not move further
+FROZEN = 12  # number of equal consecutive values that counts as a failure of a sensor whose values otherwise change
+CLIPPED = 3  # number of consecutive samples at a signal's largest or smallest value that counts as clipping
+JITTER = 0.02  # share of a step; if times deviate by more, they are not equidistant
+COARSE = 0.5  # smallest share of the road's motion that must be below half the Nyquist frequency
+MOST_PHASE = 1.0  # rad, largest phase error from wrong times, at the typical frequency of the road
+DEEP = 1.0  # m; a larger motion cannot be right
 
 
 @dataclass(frozen=True, eq=False)
 class LogStretches:
-    """Experiments of a log, and remarks on it."""
+    """Experiments of a log, and remarks on the log."""
 
     experiments: tuple[Experiment, ...]
     remarks: tuple[str, ...]
 
 
 def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretches:
-    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet), or a log of ours.
+    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet), or a log of `bump` or `drive` (.mcap).
 
     Raises:
-        InputError: the log cannot be read, lacks what the map asks for, or cannot be right.
+        InputError: the log cannot be read, lacks a column that the map requires, or contains impossible values.
     """
     keys, sensors = log_map.of(path), log_map.sensors
     units = signal_units(vehicle.kind)
@@ -51,13 +51,13 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         log = replace(log, signals={name: sensors[name].sign * values for name, values in log.signals.items()})
     else:
         sensors = {name: replace(sensors.get(name, SensorSection()), offset=0.0) for name in log.signals}
-        keys = replace(keys, forces=HELD, heights=HELD)  # a controller's computer and MuJoCo hold them over a step
+        keys = replace(keys, forces=HELD, heights=HELD)  # the controller holds forces over a step, and MuJoCo holds road heights
     with error_in(f"log {path}:"):
         return _stretches(log, vehicle, keys, sensors)
 
 
 def _own_log(path: Path, units: Mapping[str, str]) -> MeasuredLog:
-    """Returns MuJoCo's signals of a log that bump or drive wrote: those that a sensor could measure, road and forces."""
+    """Returns MuJoCo's signals in a log of `bump` or `drive`: measurable signals, road heights and control forces."""
     recorded = FEATURES.load("recorded logs")
     log = recorded.read_log(path)
     run = log.runs[-1]
@@ -168,11 +168,11 @@ def _channel(name: str, values: Array, of: SensorSection) -> Channel:
 
 
 def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
-    """Returns the step of equidistant times, the place of each sample among them, the largest deviation [s], and remarks."""
+    """Returns the step of equidistant times, the index of each sample, the largest deviation of a time [s], and remarks."""
     diffs = np.diff(time)
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
-    # The step is that of a straight line through all times, as rounded times have no exact step by themselves.
+    # The step is the slope of a straight line through all times, because the differences of rounded times vary.
     step = usual
     for _ in range(3):
         step = float(np.polyfit(places, time - time[0], 1)[0])
@@ -194,12 +194,12 @@ def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
 
 
 def _resolution(time: Array) -> float:
-    """Returns the power of ten of which all times are multiples [s]."""
+    """Returns the largest power of ten [s] of which all times are multiples."""
     return next((10.0**-k for k in range(10) if np.abs(time * 10**k - np.round(time * 10**k)).max() < 1e-4), 0.0)
 
 
 def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
-    """Returns heights under the wheels, or accelerations of the hubs, shape (T, r), and True if they are measured from zero."""
+    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if the heights need no offset."""
     if keys.road == FLAT:
         return np.zeros((len(time), len(names))), True
     if keys.road in ROADS:
@@ -218,10 +218,10 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
 
 
 def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
-    """Returns a signal without samples of blocks that were not measured, and without clipped ones, with remarks.
+    """Returns a signal in which frozen and clipped samples are NaN, and remarks.
 
     Raises:
-        InputError: the values cannot be in that unit.
+        InputError: the values are too large for the unit.
     """
     remarks, counted = list[str](), np.isfinite(values)
     finite = values[counted]
@@ -253,7 +253,7 @@ def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
 
 
 def _lengths(same: Array) -> Array:
-    """Returns the length of the run of equal values that ends at each sample."""
+    """Returns for each sample the number of equal consecutive values that end there."""
     lengths = np.ones(len(same), dtype=int)
     for i in np.flatnonzero(same):
         lengths[i] = lengths[i - 1] + 1
@@ -261,7 +261,7 @@ def _lengths(same: Array) -> Array:
 
 
 def _blocks(lengths: Array, least: int) -> Array:
-    """Returns True for the samples of runs of at least that length."""
+    """Returns True for each sample in a run of at least `least` equal values."""
     blocks = np.zeros(len(lengths), dtype=bool)
     for end in np.flatnonzero(lengths >= least):
         blocks[end - lengths[end] + 1 : end + 1] = True
@@ -269,7 +269,7 @@ def _blocks(lengths: Array, least: int) -> Array:
 
 
 def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
-    """Returns inputs whose short gaps are filled by straight lines, with a remark."""
+    """Returns the inputs with short gaps filled by linear interpolation, and remarks."""
     filled, remarks = inputs.copy(), list[str]()
     for column, name in zip(filled.T, names, strict=True):
         missing = ~np.isfinite(column)
@@ -286,7 +286,7 @@ def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
 
 
 def _runs(true: Array) -> list[tuple[int, int]]:
-    """Returns first and last + 1 of each run of True."""
+    """Returns the first index and the last index + 1 of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
@@ -298,7 +298,7 @@ def _slow(road: Array, step: float, late: float) -> list[str]:
         late: largest error of the times [s].
 
     Raises:
-        InputError: this error is so large that the phase of the road is not known.
+        InputError: the error of the times is so large that the phase of the road is not known.
     """
     if not np.ptp(np.nan_to_num(road)):
         return []

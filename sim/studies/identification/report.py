@@ -1,4 +1,4 @@
-"""An identification as a document, as a record and as a vehicle file."""
+"""Writes an identification as a document, as JSON and as a vehicle file."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ SECTION = "identified"
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A parameter in the table: its value, first value and interval, or the reason for which it has none."""
+    """A row of the parameter table: estimated value, initial value, and an interval or the reason why there is none."""
 
     name: str
     unit: str
@@ -48,7 +48,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class SensorRow:
-    """A sensor in an experiment: its fit, noise, delay and whiteness."""
+    """A sensor in an experiment, with its fit, noise, delay and whiteness."""
 
     experiment: str
     signal: str
@@ -107,7 +107,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
 
 
 def product_words(powers: Mapping[str, float]) -> str:
-    """Returns a product of powers in words, as in unsprung_mass / sprung_mass."""
+    """Returns the text of a product of powers, such as unsprung_mass / sprung_mass."""
     above = [_power(name, power) for name, power in powers.items() if power > 0]
     below = [_power(name, -power) for name, power in powers.items() if power < 0]
     return " ".join(above or ["1"]) + "".join(f" / {one}" for one in below)
@@ -138,7 +138,7 @@ def sensor_rows(of: Identification) -> list[SensorRow]:
 
 
 def products(of: Estimate) -> Iterator[tuple[str, float, float, float]]:
-    """Yields what the logs determine instead of parameters alone: products in words, values and 95 % intervals."""
+    """Yields the products of parameters that the logs determine: text, value and ends of the 95 % interval."""
     for powers in of.ratios.values():
         if len(powers) > 1:
             value, deviation = of.combination(powers)
@@ -156,7 +156,7 @@ PRODUCTS = (
 
 
 def statements(of: Identification) -> Iterator[Statement]:
-    """Yields what the estimate is worth, and what it does not know."""
+    """Yields statements on the quality of the estimate, and on parameters that the logs do not determine."""
     estimate = of.estimate
     if estimate.directions:
         scale = [one for one in estimate.directions if {round(abs(power), 6) for power in one.powers.values()} == {1.0}]
@@ -203,7 +203,7 @@ def statements(of: Identification) -> Iterator[Statement]:
 
 
 def describe(of: Identification) -> Document:
-    """Describes an identification: parameters with intervals, sensors, and what the logs do not determine."""
+    """Describes an identification: parameters with intervals, sensors, and parameters that the logs do not determine."""
     rows, ratios = parameter_rows(of), list(products(of.estimate))
     caption = "values and 95 % intervals of the free parameters"
     blocks: list[Any] = [Table.of("parameters", caption, PARAMETERS, rows, words=2)]
@@ -239,7 +239,7 @@ def describe(of: Identification) -> Document:
 
 
 def describe_plans(each: Sequence[ChirpPlan]) -> Document:
-    """Describes plans: chirps, and the standard deviation of each parameter with the best one."""
+    """Describes test plans: the chirps, and the standard deviation of each parameter with the best chirp."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
     caption = "chirps for the posts of a rig, with the largest relative standard deviation of a parameter"
@@ -280,7 +280,7 @@ def _correlations(of: Estimate) -> dict[str, dict[str, float]]:
 
 
 def figure(of: Identification) -> Figure:
-    """Returns measured over predicted signals of the first experiment, and their residuals."""
+    """Returns a figure of the measured and predicted signals of the first experiment, and of the residuals."""
     estimate = of.estimate
     one, predicted = estimate.problem.experiments[0], estimate.predicted[0]
     every = slice(None, None, max(1, len(one.road) // MOST_POINTS))
@@ -296,7 +296,7 @@ def figure(of: Identification) -> Figure:
 
 
 def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
-    """Returns the vehicle file with the identified values and a section on where they come from."""
+    """Returns the vehicle file with the identified values, and a section that states their origin."""
     vehicle, estimate = of.vehicle, of.estimate
     start, rows = estimate.problem.vehicle, parameter_rows(of)
     tables = [name for name in vehicle.curves if name in estimate.values]

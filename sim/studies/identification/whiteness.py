@@ -1,4 +1,4 @@
-"""Whiteness of residuals: their autocorrelation, the test of Ljung and Box, and an autoregressive model of coloured ones."""
+"""Whiteness of residuals: autocorrelation, the Ljung-Box test, and an autoregressive model of coloured residuals."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from models.common.arrays import Array
 
 LAGS = 25  # of the tests
 LEAST = 0.001  # probability below which residuals are not white
-MOST_ORDER = 40  # of the autoregressive model
+MOST_ORDER = 40  # largest order of the autoregressive model
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,9 +17,9 @@ class Whiteness:
 
     Attributes:
         correlations: autocorrelation from lag 1 on, shape (LAGS,).
-        bound: 95 % of white residuals' correlations lie within +- this.
-        outside: share of the correlations beyond.
-        probability: probability of such correlations or larger ones if the residuals are white (Ljung and Box, 1978).
+        bound: for white residuals, 95 % of the correlations are between -bound and bound.
+        outside: share of the correlations outside this range.
+        probability: probability that white residuals have correlations at least this large (Ljung and Box, 1978).
         samples: number of residuals.
     """
 
@@ -31,12 +31,12 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """True if the residuals are white as far as the test shows."""
+        """True if the test does not reject that the residuals are white."""
         return self.probability >= LEAST
 
 
 def covariances(values: Array, lags: int) -> tuple[Array, Array]:
-    """Returns the autocovariances at lags 0 to `lags` and the numbers of pairs, without pairs that have a missing value."""
+    """Returns the autocovariances at lags 0 to `lags`, and the number of complete pairs of values at each lag."""
     counted = np.isfinite(values)
     filled = np.where(counted, values, 0.0)
     size = 1 << (2 * len(values) - 1).bit_length()
@@ -47,7 +47,7 @@ def covariances(values: Array, lags: int) -> tuple[Array, Array]:
 
 
 def whiteness(values: Array) -> Whiteness:
-    """Tests residuals, shape (T,); NaN for a missing one."""
+    """Tests whether residuals are white, shape (T,); a missing residual is NaN."""
     from scipy.special import chdtrc
 
     n = int(np.isfinite(values).sum())
@@ -61,7 +61,7 @@ def whiteness(values: Array) -> Whiteness:
 
 @dataclass(frozen=True, eq=False)
 class Autoregressive:
-    """Residuals as e[k] + a1 e[k-1] + ... = w[k] with white w.
+    """Autoregressive model of residuals e: e[k] + a1 e[k-1] + ... = w[k] with white noise w.
 
     Attributes:
         coefficients: 1, a1, a2, ..., shape (order + 1,).
@@ -75,17 +75,17 @@ class Autoregressive:
         """Returns J'RJ for columns J, shape (T, p), with the autocovariance R of the residuals."""
         from scipy.signal import lfilter
 
-        # R = s^2 (A'A)^-1, so J'RJ is that of the columns behind 1/A backwards in time.
+        # R = s^2 (A'A)^-1. So J'RJ is s^2 M'M, where M contains the columns of J after the filter 1/A, run backwards in time.
         behind = np.asarray(lfilter([1.0], self.coefficients, columns[::-1], axis=0)) * self.deviation
         return behind.T @ behind
 
 
 def autoregressive(values: Array) -> Autoregressive:
-    """Returns the autoregressive model of residuals, of the order with the least criterion of Schwarz."""
+    """Returns the autoregressive model of residuals whose order minimises the Schwarz criterion (BIC)."""
     n = int(np.isfinite(values).sum())
     most = max(0, min(MOST_ORDER, n // 10))
     covariance, _ = covariances(values, most)
-    # Levinson and Durbin: one order after another.
+    # The Levinson-Durbin recursion computes one order after another.
     a, error = np.ones(1), float(covariance[0])
     best, least = (a, error), n * np.log(max(error, 1e-300))
     for order in range(1, most + 1):

@@ -1,19 +1,20 @@
-"""Lower bound on the ride of every controller of the same sensors: LQG of the sampled loop, with its delay and hold.
+"""Lower bound on the ride of all controllers with the same sensors, from LQG control of the sampled loop.
 
-Between samples a force u is held, so with v = [x; u] and F = [[A, B], [0, 0]] one matrix exponential has the state after a time
-h, the integral of |z|^2 and, for the noise within the period, the integral of that (C. F. Van Loan (1978), IEEE Transactions on
-Automatic Control 23, 395-404):
+Between samples, a force u is held. With v = [x; u] and F = [[A, B], [0, 0]], one matrix exponential therefore gives the state
+after a time h, the integral of |z|^2 and, for the noise within the period, the double integral of |z|^2 (C. F. Van Loan (1978),
+IEEE Transactions on Automatic Control 23, 395-404):
 
     exp(h [[-F', 1, 0], [0, -F', Q], [0, 0, F]]) = [[., ., M], [., ., N], [., ., Phi]],
     integral of exp(F' s) Q exp(F s) over h = Phi' N,    its integral over h = Phi' M.
 
-The state of the discrete problem is x and the forces that still act. The Riccati equations have the solutions X and P. P_f is the
-covariance behind a reading, W that of the period's noise, and K the regulator's gain. The least cost of a period is
+The state of the discrete problem consists of x and of the earlier forces that still act. X and P are the solutions of the
+regulator's and the filter's Riccati equation. P_f is the covariance of the estimation error after a measurement, W the covariance
+of the noise of a period, and K the regulator's gain. The smallest cost of a period is
 
     tr X W + tr K' (R + B' X B) K P_f + the cost of noise within the period
 
-(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). No law that reads every period, and whose forces
-act with this delay, has a smaller mean square.
+(K. J. Aastroem, B. Wittenmark (1997), Computer-Controlled Systems, chapter 11). No control law with this sample period and this
+delay has a smaller mean square of z.
 """
 
 import math
@@ -32,24 +33,26 @@ from sim.studies.recommend.task import Task
 from synth.plant.generalized import Plant
 from synth.plant.loop import HoldInterval
 
-NEARLY_NONE, LEAST_NOISE = -9.0, 1e-6  # power of e of weights that keep a problem regular; share of a signal's rms
-FORCES, ENOUGH = np.arange(-3.0, -15.0, -1.5), 5e-3  # powers of e of the cost of force; relative change of a bound that is small
+# Power of e of tiny weights that keep the problem regular; smallest noise relative to a signal's rms
+NEARLY_NONE, LEAST_NOISE = -9.0, 1e-6
+# Powers of e of the force weight; relative change of the bound at which the search ends
+FORCES, ENOUGH = np.arange(-3.0, -15.0, -1.5), 5e-3
 
 
 def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]) -> float:
-    """Returns the least rms of z under white noise w of all laws that read C_y x + v every period, with forces held.
+    """Returns the smallest rms of z for white noise w that any law can reach, if it measures C_y x + v in each period.
 
     Args:
         plant: continuous plant with n states, m inputs, q measurements.
-        hold: parts of the period, each with the delay of its force.
-        noise: rms of v, drawn at every reading, shape (q,).
+        hold: parts of the period, each with the delay of the force that acts in it.
+        noise: rms of the measurement noise v, which is independent at each sample, shape (q,).
 
     Raises:
         LinAlgError: a Riccati equation has no solution.
     """
     (n, m), late = plant.B.shape, max(part.delay_samples for part in hold)
     size, period = n + late * m, sum(part.duration for part in hold)
-    # Rows select from [x; forces of the last samples; new force].
+    # These rows select entries of the vector [x; forces of the last samples; new force].
     x, *previous = np.split(np.eye(size + m), [n + i * m for i in range(late + 1)])
     forces, cost, W, within = [previous.pop(), *previous], np.zeros((size + m, size + m)), np.zeros((n, n)), 0.0
     F, none = np.block([[plant.A, plant.B], [np.zeros((m, n + m))]]), np.zeros((n + m, n + m))
@@ -75,10 +78,11 @@ def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]
 
 
 def lower_bound(task: Task) -> float | str:
-    """Returns the expected ride that no controller of the same sensors falls below without limits [m/s2], or why it is unknown.
+    """Returns a lower bound on the expected ride [m/s2] of all controllers with the same sensors, or why there is no bound.
 
-    The cost of force falls until the ride falls by less than `ENOUGH`; the bound is lower by twice the last change. The worst of
-    several points is at least their root mean square.
+    The force weight is reduced until the ride changes by less than `ENOUGH`. Twice the last change is then subtracted from the
+    ride. With several ride points, the bound is on their root mean square, which is at most the value at the worst point. Limits
+    on force and stroke are ignored.
     """
     if any(wheel.behind(task.vehicle.parameters) for wheel in task.vehicle.kind.wheels):
         return "the front wheels show the road of the rear wheels in advance"

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from models.document.document import Document
     from sim.studies.recommend.result import Recommendation
 
-QUICK = 0.1  # of the usual number of candidates
-LONGEST_RUN = 16.0  # s, over which a random road does not repeat
+QUICK = 0.1  # share of the usual number of candidates that --quick evaluates
+LONGEST_RUN = 16.0  # s, time in which a random road does not repeat itself
 
 
 class RecommendStudy(Study["Recommendation"]):

@@ -1,4 +1,4 @@
-"""Runs of candidates in MuJoCo over several roads, with stops, clipped forces, lift-off and noise."""
+"""Simulates candidates in MuJoCo over several roads, with bump stops, clipped forces, lift-off and sensor noise."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -22,9 +22,9 @@ from sim.studies.ride.metrics import Meter
 from sim.studies.ride.scores import score_of, score_over_runs
 from synth.controller.controller import is_linear
 
-SEEDS = (0, 1, 2, 3, 4, 5)  # of the random roads of the search
-LONGEST = 5.0  # s, of a transient that is waited for
-SETTLED, MOST_TIME = 3.0, 60.0  # s, of a run behind an obstacle, and of a run over a road from a file
+SEEDS = (0, 1, 2, 3, 4, 5)  # seeds of the random roads on which candidates are compared
+LONGEST = 5.0  # s, longest transient before the measurement
+SETTLED, MOST_TIME = 3.0, 60.0  # s, run time after an obstacle; longest run time over a road from a file
 AT_ONCE = 48  # runs in a batch
 BROKEN = Usage(math.inf, math.inf, 1.0, 0.0, 1.0)
 
@@ -33,11 +33,12 @@ class Peaks:
     """Observer of metrics, and of the lowest and highest values of deflections and forces."""
 
     def __init__(self, first: int, speed: float, names: Sequence[str], batch: Batch) -> None:
-        """Prepares the runs of a batch, measured from a sample on."""
+        """Prepares the measurement of a batch of runs, which begins at the sample `first`."""
         self._first, self._seen, self._ends, every = first, 0, Ends(batch), [one.name for one in batch.vehicles[0].kind.signals]
         self._meter = Meter(batch.vehicles, batch.timestep, first, speeds=[speed] * len(batch.vehicles))
         self._rows = [every.index(name) for name in names]
-        self._high = np.full((2, len(names), len(batch.vehicles)), -np.inf)  # of minus the values, and of the values
+        # Largest values of minus the signals, and of the signals
+        self._high = np.full((2, len(names), len(batch.vehicles)), -np.inf)
 
     def take(self, block: Block) -> None:
         """Takes the next block."""
@@ -49,7 +50,7 @@ class Peaks:
             self._high = np.maximum(self._high, [-part.min(axis=0), part.max(axis=0)])
 
     def result(self) -> list[tuple[dict[str, float] | None, np.ndarray]]:
-        """Returns for each run its metrics, None if it broke off, and the largest values down and up, shape (2, names)."""
+        """Returns for each run the metrics (None if the run was aborted) and the largest values down and up, shape (2, names)."""
         metrics = self._meter.result()
         each = [{name: float(values[i]) for name, values in metrics.items()} for i in range(self._high.shape[2])]
         ends = self._ends.result()
@@ -62,9 +63,10 @@ class Peaks:
 def drive_candidates(
     task: Task, candidates: Sequence[Contender], progress: Callable[[str], None], seeds: Sequence[int] = SEEDS
 ) -> list[Rating]:
-    """Returns the rating of each candidate in MuJoCo over the road, or over random roads of these seeds.
+    """Returns the rating of each candidate in MuJoCo over the road, or over random roads with these seeds.
 
-    Runs that break off have no values. A random road is measured when the candidates have settled, other roads from the start.
+    A candidate with an aborted run has no values. On random roads, the measurement begins when the transients have decayed; on
+    other roads it begins at the start.
     """
     road, names = task.road, [*task.strokes, *task.forces]
     roads = [replace(road, seed=seed) for seed in seeds] if isinstance(road, Iso8608) else [road]

@@ -1,12 +1,13 @@
-"""Laws that one would tune by hand: skyhook, skyhook with feedback of travel, semi-active laws, and another damper or spring.
+"""Candidates that are usually tuned by hand: skyhook with or without travel feedback, semi-active laws, passive changes.
 
-Each force of the skyhook damps the body's velocity over its own suspension. Velocities are those of sensors, or integrals of
-accelerometers with a corner frequency w_c:
+Each force u of the skyhook damps the body's velocity above its suspension. Velocities are measured, or are integrals xi of the
+measured accelerations a with a corner frequency w_c:
 
     xi' = a - w_c xi,    u = -c S J G^+ (velocities, xi) - m_v S J G^+ a.
 
-J contains the velocities over the suspensions, and G the measurements, both by the velocities of the body. S is the static load
-of each suspension over gravity, and m_v a virtual mass. With travel d, the law adds c_d times its filtered derivative and k d.
+J gives the velocities above the suspensions, and G the measured ones, both from the velocities of the body. G^+ is the
+pseudo-inverse of G. S contains the static load of each suspension divided by gravity. c is the damping rate, and m_v a virtual
+mass. With travel feedback, the law adds c_d times the filtered derivative of the travel d, and k d.
 """
 
 import math
@@ -24,12 +25,14 @@ from models.laws.semi_active import LAWS, MODES, SemiActive, SemiActiveLaw
 from sim.studies.recommend.optimal import uncertified
 from sim.studies.recommend.task import Contender, Task
 
-EXACT = 1e-6  # relative: of a sensor that is a sum of the body's velocities, or of their rates
+EXACT = 1e-6  # relative error below which a sensor counts as a combination of the body's accelerations
 BODY = ("sprung_velocity", *MODES)
-RATE, MASS, SIDE_DAMPING, STIFFNESS = 10.0, 0.1, 1.0, 25.0  # usual c [1/s], m_v [1], c_d [1/s] and k [1/s2], each over the mass
-FASTEST = 200.0  # rad/s, of the filtered derivative of travel
-DAMPER, SPRING = (0.5, 2.0), (0.7, 1.5)  # range of factors on the passive damper and spring
-SKY, MIX, CROSSOVER = (0.15, 0.3, 0.6, 1.0, 1.5), (0.5, 0.75, 0.9), (8.0, 12.0, 20.0)  # sky damping over c_max; 1; rad/s
+# Typical c [1/s], m_v [1], c_d [1/s] and k [1/s2], each divided by the mass
+RATE, MASS, SIDE_DAMPING, STIFFNESS = 10.0, 0.1, 1.0, 25.0
+FASTEST = 200.0  # rad/s, corner frequency of the filtered derivative of the travel
+DAMPER, SPRING = (0.5, 2.0), (0.7, 1.5)  # ranges of the factors on the passive damper and spring
+# Tried values: sky damping / c_max; mix [1]; crossover [rad/s]
+SKY, MIX, CROSSOVER = (0.15, 0.3, 0.6, 1.0, 1.5), (0.5, 0.75, 0.9), (8.0, 12.0, 20.0)
 
 
 class BodySensors(NamedTuple):
@@ -37,8 +40,8 @@ class BodySensors(NamedTuple):
 
     Attributes:
         velocities, accelerations: names of q velocity sensors and p accelerometers.
-        over: velocities over the suspensions by those of the sensors and integrals, shape (m, q + p).
-        travels: measured deflection of every force; empty without a sensor.
+        over: matrix from measured and integrated velocities to the velocities above the suspensions, shape (m, q + p).
+        travels: name of the measured deflection at each force; an empty name if it is not measured.
     """
 
     velocities: list[str]
@@ -48,7 +51,7 @@ class BodySensors(NamedTuple):
 
 
 def body_sensors(task: Task) -> BodySensors | None:
-    """Returns the sensors of the body's velocity; None if the file has none."""
+    """Returns the sensors of the body's velocity; None if the file contains no such sensor."""
     model, place = task.line.linear_model, {one.force: one.deflection for one in task.line.kind.suspensions}
     moving = [i for i, name in enumerate(model.states) if name in BODY]
     if not moving or not {*model.inputs} <= {*place}:
@@ -71,10 +74,11 @@ def body_sensors(task: Task) -> BodySensors | None:
 
 
 def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], travel: bool) -> Contender:
-    """Returns the skyhook of a point of the search.
+    """Returns the skyhook candidate for a point of the search.
 
     Args:
-        x: logarithms of c, w_c [rad/s] and m_v over the usual ones; with travel also c_d and k over the usual ones.
+        x: logarithms of c / `RATE`, w_c [rad/s] and m_v / `MASS`; with travel feedback, also c_d / `SIDE_DAMPING` and k /
+            `STIFFNESS`.
     """
     q, p = len(sensors.velocities), len(sensors.accelerations)
     masses = np.array([load / GRAVITY for load in task.static_loads.values()])
@@ -87,7 +91,7 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], tra
     if travel:
         there = [i for i, deflection in enumerate(sensors.travels) if deflection]
         at, k, c_d, spring = np.eye(len(masses))[:, there], len(there), SIDE_DAMPING * x[3], STIFFNESS * x[4]
-        # The derivative is FASTEST (d - FASTEST eta) with eta' = d - FASTEST eta.
+        # The filtered derivative is FASTEST (d - FASTEST eta), where eta' = d - FASTEST eta.
         A = np.block([[A, np.zeros((p, k))], [np.zeros((k, p)), -FASTEST * np.eye(k)]])
         B = np.block([[B, np.zeros((p, k))], [np.zeros((k, q + p)), np.eye(k)]])
         C = np.hstack([C, c_d * FASTEST**2 * masses[:, None] * at])
@@ -98,7 +102,7 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], tra
 
 
 def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
-    """Returns the passive car with another damper and spring, from logarithms of the factors on all of them."""
+    """Returns the passive car with other dampers and springs; x contains the logarithms of the two factors."""
     factors, vehicle = dict[str, float](), task.vehicle
     damper, spring = (*(float(np.clip(math.exp(one), *ends)) for one, ends in zip(x, (DAMPER, SPRING), strict=False)), 1.0)[:2]
     for one in vehicle.kind.suspensions:
@@ -110,7 +114,7 @@ def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
 
 
 def semi_active(task: Task) -> list[Contender]:
-    """Returns semi-active laws with several values of their keys; empty without adjustable dampers."""
+    """Returns semi-active laws, each with several parameter values; empty if the vehicle has no semi-active dampers."""
     model, kind, found = task.vehicle.linear_model, task.vehicle.kind, list[Contender]()
     places = {one.force: one.ending for one in kind.suspensions}
     most, modes = max((getattr(one, "c_max", 0.0) for one in task.vehicle.dampers.values()), default=0.0), MODES

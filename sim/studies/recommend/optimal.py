@@ -1,10 +1,11 @@
-"""Optimal laws of a vehicle's sensors: LQG, H-infinity of full order and by the two steps, and preview.
+"""Optimal control laws for a vehicle's sensors: LQG, H-infinity (full order, fixed order, static), and preview.
 
-The plant is the linear vehicle behind a lag that stands for actuators, delay and hold: 1 / bandwidth + (delay + 1/2) periods.
-The road's velocity is white in its own intensity, and vertical accelerations of the ride points have the filter W_k.
+The plant is the linear vehicle with a lag at the forces. Its time constant approximates actuator, delay and hold: 1 / bandwidth +
+    (delay + 1/2) sample periods.
+The road velocity is white noise with the intensity of the road. Vertical accelerations of the ride points are filtered by W_k.
 
-Weights are powers of e on usual sizes, so the search needs no units. A usual size is the passive vehicle's acceleration over a
-third of the stroke, of the static tyre deflection, or of the largest force.
+Weights are given as powers of e relative to typical values, so the search needs no units. A typical value is the passive
+vehicle's rms acceleration divided by a third of the stroke, of the static tyre deflection, or of the largest force.
 """
 
 import math
@@ -44,22 +45,23 @@ USUAL: Mapping[str, float] = {
     "load": -2.0,
     "noise": 0.0,
 }  # powers of e
-FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # weight that a goal fixes at 1
+FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # weight that is 1 for the goal, and is not searched
 Weights = Mapping[str, float]
-# H-infinity adds noise and cost, a share of the plant's own size, so that its Riccati equations have a solution. A larger share
-# has larger margins.
-SHARE, SHARES = "share", (-1.0, 2.0)  # name; power of ten at 0, and how much it falls for each
-LEVELS, CLOSE, ABOVE = 24, 1.2, 1.1  # of the bisection for the least level; ratio at which it ends; level of the law over it
-NORMS = 200  # computed norms of a descent to a law of fewer states
+# The H-infinity design adds noise and cost to the plant, as a share of the plant's own terms, so that its Riccati equations have
+# a solution. A larger share leads to larger stability margins.
+SHARE, SHARES = "share", (-1.0, 2.0)  # name of the variable s; the share is 10^(-1 - 2 s)
+# Steps of the search for the smallest level; ratio at which it ends; level of the law relative to the smallest
+LEVELS, CLOSE, ABOVE = 24, 1.2, 1.1
+NORMS = 200  # largest number of norms computed by the search for a law with fewer states
 
 
 def searched(task: Task) -> list[str]:
-    """Returns the names of the weights that are searched for the goal."""
+    """Returns the names of the weights that are searched if the task has this goal."""
     return [name for name in USUAL if name != FIXED[task.goal]]
 
 
 def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehicle:
-    """Returns the linear vehicle with these weights and the lag of the design, with that of delay and hold or without."""
+    """Returns the linear vehicle with these weights and the lag of the actuators; `delayed` adds the lag of delay and hold."""
     line, how, lag = task.line, task.line.implementation, task.line.limits.actuator_bandwidth
     late = (how.delay + 0.5) * (how.sample_period or task.timestep) if delayed and not how.undelayed else 0.0
     bandwidth = 1 / (late + (1 / lag if lag else 0.0)) if late or lag else None
@@ -71,7 +73,7 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
         name: (one, "force") for name, one in task.forces.items()
     }
     performance = {name: factors.get(what, 1.0) * 3 * comfort / size for name, (size, what) in sizes.items()}
-    if points:  # orthogonal sums with the same sum of squares, so that no mode of the body has two filters
+    if points:  # orthogonal combinations with the same sum of squares, so that each mode of the body is filtered only once
         turned, shares, _ = np.linalg.svd(np.hstack(line.linear_model.rows(points)), full_matrices=False)
         rows = turned.T[shares > 1e-9 * shares[0]].tolist()
         terms = [dict(zip(points, row, strict=True)) for row in rows]
@@ -86,16 +88,16 @@ def design(
     """Returns the controller of a method for these weights.
 
     Args:
-        weights: also the `SHARE` of H-infinity.
-        method: `LQG`, "full" (H-infinity of full order), "" (the two steps), a number of states, or "preview".
+        weights: powers of e of the weights, and `SHARE` for H-infinity, by name.
+        method: `LQG`, "full" (full-order H-infinity), "" (static, by the two-step method), a number of states, or "preview".
         preview: time by which the road is known ahead [s].
 
     Raises:
-        DesignError, InputError: there is no such controller.
+        DesignError, InputError: no controller can be designed for these weights.
     """
     car = weighted_vehicle(task, weights)
     bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
-    if preview:  # it measures all states, and no sensor measures those of a filter
+    if preview:  # preview requires that all states are measured, but no sensor measures the states of a filter
         car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
         request = DesignRequest(design=method, preview=preview)
         entry = ControllerEntry(name, tuple(measured), request, hardware=DesignConditions(bandwidth=bandwidth))
@@ -109,7 +111,7 @@ def design(
 
 
 def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float) -> LinearLaw:
-    """Returns the law on the measurements that contain states; arguments as for `design`."""
+    """Returns the law for the measurements that contain states; method and share as for `design`."""
     plant, given = posed.of_states, DesignProblem(posed.of_states, lower_bound=LowerBound(0.0), alternatives=False)
     if method == LQG:
         return lqg_law(plant, noise)
@@ -123,10 +125,10 @@ def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float
 
 
 def _central(plant: Plant, share: float) -> LinearLaw:
-    """Returns the central law a little above the least level at which the problem with a share of noise and cost has one.
+    """Returns the central H-infinity law for a level slightly above the smallest one at which a law exists.
 
     Raises:
-        DesignError: there is no such level.
+        DesignError: no law exists at any level that was tried.
     """
     search, low, high, level = RiccatiSearch(plant, 0.0), 0.0, math.inf, 1.0
     for _ in range(LEVELS):
@@ -145,14 +147,14 @@ def _central(plant: Plant, share: float) -> LinearLaw:
 
 
 def own_hardware(task: Task) -> DesignConditions:
-    """Returns the conditions of certificates: the lag of the vehicle's own actuators."""
+    """Returns the conditions for certificates, which contain only the lag of the vehicle's own actuators."""
     return DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
 
 
 def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
-    """Returns the controller of a law with the certificate of the passive vehicle, until `certified` computes its own.
+    """Returns a controller for a law. Its certificate is that of the passive vehicle until `certified` replaces it.
 
-    Certificates would take most of the time of a search.
+    The certificates of all candidates would take most of the time of a search.
     """
     return Controller(name, tuple(measured), law, True, task.passive.certificate, hardware=own_hardware(task))
 

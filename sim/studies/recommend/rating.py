@@ -1,4 +1,4 @@
-"""Rating of a candidate in linear analysis: expected metrics over the road, and margins of its loops."""
+"""Rating of a candidate in linear analysis: expected metrics over the road, and stability margins."""
 
 import math
 from collections.abc import Mapping
@@ -21,41 +21,42 @@ from synth.controller.stability_margins import bilinear
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-GRID, HALVINGS, BEYOND = 0.144, 6, 1.1  # step of the gains in powers of e; halvings of it; power of a limit
+# Step of the searched gain factors in powers of e; number of bisections; search range as a power of the limit
+GRID, HALVINGS, BEYOND = 0.144, 6, 1.1
 NEARLY = 1e-6
-SWEEP = (0.3, 3e3, 200)  # rad/s, and their number
-EXCESS = 4.0  # times the passive value: penalty of a search for a limit that is exceeded by a factor e
+SWEEP = (0.3, 3e3, 200)  # lowest and highest frequency [rad/s], and number of frequencies
+EXCESS = 4.0  # penalty for a limit that is exceeded by a factor e, relative to the passive value of the goal
 
 
 @dataclass(frozen=True, eq=False)
 class Rating:
-    """Metrics of a candidate, and its use of the limits.
+    """Metrics of a candidate, and how much of each limit it uses.
 
     Attributes:
-        values: columns of the comparison of controllers, by key [SI]; None if the vehicle lacks it or a run broke off.
-        usage: use of the limits.
+        values: metrics in the comparison of controllers, by key [SI]; None if the vehicle lacks the metric or a run was aborted.
+        usage: quantities to compare with the limits.
     """
 
     values: Mapping[str, float | None]
     usage: Usage
 
     def value(self, task: Task) -> float:
-        """Returns the value that the goal minimises; infinite for a run that broke off."""
+        """Returns the value that the goal minimises; infinite if a run was aborted."""
         value = self.values.get(GOALS[task.goal])
         return math.inf if value is None else value
 
     def penalised(self, task: Task, factors: Mapping[str, float] | None = None) -> float:
-        """Returns the value with a penalty for limits that are exceeded.
+        """Returns the value that the goal minimises, plus a penalty for exceeded limits.
 
         Args:
-            factors: factors on the use of limits, by name; 1 if not given.
+            factors: factors by which the used share of each limit is multiplied, by name; 1 if not given.
         """
         used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
         return self.value(task) + EXCESS * task.usual * sum(math.log(max(one, 1.0)) for one in used.values())
 
 
 def rate_expected(task: Task, candidate: Contender) -> Rating | None:
-    """Returns the rating of a candidate over the random road of the designs; None if its loop is unstable or not linear."""
+    """Returns the rating of a candidate over the design road; None if the candidate's loop is unstable or not linear."""
     one = candidate.controller
     if one.linear is not True:
         return None
@@ -76,16 +77,16 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
 
 
 def margins_of(task: Task, controller: Controller, rough: bool = False) -> tuple[float, float]:
-    """Returns the smaller gain and disk margins of the implemented and the ideal loop, cut at all forces.
+    """Returns the gain margin and the disk margin at all forces; each is the smaller one of implemented and ideal loop.
 
     Args:
-        rough: True for a gain margin that is searched only `BEYOND` the limit, and a disk margin at some frequencies.
+        rough: True for a fast search: gain factors only up to the limit to the power `BEYOND`, disk margin on a frequency grid.
     """
     if not controller.acts:
         return MOST_GAIN, 2.0
     most = (task.within.gain_margin or 1.0) ** BEYOND if rough else MOST_GAIN
     pairs = [_margins(loop_of(task.line, controller.feedback, task.coarse_step), most, rough)]
-    with suppress(InputError):  # measurements contain the force at once, and the ideal loop has no solution
+    with suppress(InputError):  # the ideal loop has no solution if measurements contain the force without delay
         pairs.append(_margins(loop_of(task.line, controller.feedback), most, rough))
     gains, disks = zip(*pairs, strict=True)
     return min(gains), min(disks)
@@ -111,12 +112,12 @@ def _margins(loop: Loop, most: float, rough: bool) -> tuple[float, float]:
             gain = min(gain, low)
     if rough:
         return gain, _disk_by_sweep(cut)
-    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut  # a pole at z = -1 has no image
+    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut  # the bilinear transform does not map a pole at z = -1
     return gain, disk_margin(bilinear(cut) if loop.period else cut).size
 
 
 def _disk_by_sweep(cut: StateSpace) -> float:
-    """Returns the disk margin at frequencies of a grid and of the loop's poles, which is at least the true one."""
+    """Returns the disk margin over a grid and the pole frequencies; it is at least the true margin."""
     poles, modes = np.linalg.eig(cut.loop_matrix(1.0))
     rates = np.log(poles[np.abs(poles) > NEARLY].astype(complex)) / cut.dt if cut.dt else poles
     omega = np.concatenate([np.geomspace(*SWEEP), *(share * np.abs(rates) for share in (0.97, 1.0, 1.03))])

@@ -1,4 +1,4 @@
-"""Recommendation of a controller for a vehicle: searched in linear analysis, driven in MuJoCo, ranked."""
+"""Recommendation of a controller for a vehicle: candidates are tuned in linear analysis, simulated in MuJoCo, and ranked."""
 
 import math
 import time
@@ -27,11 +27,12 @@ from sim.studies.recommend.task import SPEED, Contender, Task
 from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
-RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
-ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
-HOPE = 1.1  # times the best value; an active candidate with more is not searched again
-CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
-OF_SEARCH, OF_DRIVES = 0.45, 0.6  # share of the time until the end of the first searches, and of the file's controllers
+RESERVE = 0.1  # share of stroke and force that is kept in reserve for random roads that were not simulated
+# Number of repeated searches; used share of a limit below which a search is repeated; safety factor; smallest factor
+ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3
+HOPE = 1.1  # an active candidate whose value exceeds the best one by this factor is not searched again
+CALIBRATED = ("stroke", "force", "lift")  # limits whose used share differs between MuJoCo and the expectation
+OF_SEARCH, OF_DRIVES = 0.45, 0.6  # share of the total time at the end of the first searches, and before the first simulations
 Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
 
 
@@ -43,12 +44,12 @@ def recommend(
     within: Within | str = "",
     timestep: PositiveTime = USUAL_TIMESTEP,
 ) -> Recommendation:
-    """Returns the best controllers for a vehicle: candidates of every family, searched and driven over the road in MuJoCo.
+    """Recommends controllers for a vehicle: tunes candidates of several families, and compares them in MuJoCo over the road.
 
     Args:
-        road: road of the vehicle; several random roads are driven instead of a random one. Default: class C at 20 m/s.
+        road: road to drive over; for a random road, several random roads of the same kind are used. Default: class C at 20 m/s.
         goal: quantity to minimise: "ride" (weighted acceleration), "holding" (dynamic tyre load) or "travel".
-        within: limits, as `Within` or as the text of `--within`.
+        within: limits that the controller must keep, as a `Within` object or as the text of `--within`.
         timestep: timestep of MuJoCo [s].
 
     Raises:
@@ -69,10 +70,10 @@ def recommend(
 
 @one_thread()
 def recommendation(task: Task, progress: Callable[[str], None]) -> Recommendation:
-    """Returns the recommendation of a task; after Ctrl-C with the candidates so far.
+    """Returns the recommendation for a task. After Ctrl-C, it contains only the candidates found so far.
 
     Args:
-        progress: callback that receives a line of progress.
+        progress: function that receives each line of progress.
     """
     work = _Work(task, progress)
     try:
@@ -96,7 +97,7 @@ class _Work:
         self.reserve = RESERVE if task.random else 0.0
 
     def run(self) -> None:
-        """Searches, drives and certifies all candidates."""
+        """Tunes, simulates and certifies all candidates."""
         task, searched = self.task, list[Family]()
         self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
         planned = [family.evaluations for family, _ in families(task)]
@@ -129,7 +130,7 @@ class _Work:
         self._show(f"{left}{text}{best}")
 
     def _search(self, family: Family, groups: tuple[str, ...] = (), again: str = "") -> None:
-        """Searches a family and adds its best candidate, after Ctrl-C the best so far."""
+        """Searches a family and adds its best candidate. After Ctrl-C, it adds the best candidate found so far."""
         self._progress(f"{family.name}{again}")
         try:
             family.search(self.task)
@@ -142,7 +143,7 @@ class _Work:
                 self.sensors |= {groups: best[1].penalised(self.task)} if groups else {}
 
     def _add(self, one: Contender) -> None:
-        """Adds a candidate; one with an unstable implemented loop is left out."""
+        """Adds a candidate, unless its implemented loop is unstable."""
         linear = one.controller.linear is True and not one.vehicle.dampers
         rating = rate_expected(self.task, one) if linear else None
         if linear and rating is None:
@@ -162,7 +163,7 @@ class _Work:
                 self.left_out[f"{name} (file)"] = str(error).removeprefix(f"controller {name!r}: ")
 
     def _drive(self) -> None:
-        """Drives the candidates that have not been driven."""
+        """Simulates the candidates that have not been simulated yet."""
         new = [one for one in self.expected if one not in self.driven]
         ratings = drive_candidates(self.task, new, self._progress)
         if not self.driven:  # the passive vehicle is the first candidate
@@ -171,7 +172,7 @@ class _Work:
             self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=self._lifts))
 
     def _repeat(self, family: Family) -> None:
-        """Searches a family again if its best candidate exceeds limits in MuJoCo, or uses little of those that it was held by."""
+        """Searches a family again if its best candidate exceeds limits in MuJoCo, or does not use them fully."""
         task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:
             return
@@ -186,12 +187,13 @@ class _Work:
         for name in held:
             least = LEAST ** (TAIL if name == "lift" else 1)
             factor = max(TIGHTER * there[name] / linear[name], least) if linear[name] else 1.0
-            factor = max(factor, TIGHTER) if there[name] > 1 else factor  # a clipped force has no larger peak
+            # The peak of a clipped force does not show how much is missing
+            factor = max(factor, TIGHTER) if there[name] > 1 else factor
             family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / least)
         self._search(family, again=" again")
 
     def _certify(self) -> None:
-        """Gives the best candidate of each family its certificate."""
+        """Computes the certificate of the best candidate of each family."""
         for one in [row.candidate for row in self.rows()]:
             law = one.controller
             if law.linear is True and law.acts and law.preview is None and not one.own:
@@ -212,7 +214,7 @@ class _Work:
         return list(best.values())
 
     def _exact(self, row: RankedContender) -> RankedContender:
-        """Returns a row with its whole margins, which a search knows only near the limits."""
+        """Returns a row with exact margins; the search computes margins only near the limits."""
         one = row.candidate.controller
         if row.driven or one.linear is not True:
             return row
@@ -220,7 +222,7 @@ class _Work:
         return replace(row, rating=replace(row.rating, usage=row.rating.usage._replace(gain_margin=gain, disk=disk)))
 
     def result(self, interrupted: bool = False) -> Recommendation:
-        """Returns the recommendation so far."""
+        """Returns the recommendation from the candidates found so far."""
         rows, left, task = [self._exact(row) for row in self.rows()], dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
         left |= {one.name: "a run ends early in MuJoCo" for one in self.driven if one.name not in named}
@@ -228,6 +230,6 @@ class _Work:
             left["preview"] = f"the sensors do not measure all {len(task.line.linear_model.states)} states"
         if not task.vehicle.dampers:
             left["semi-active laws"] = "the file has no adjustable dampers"
-        # A subset of sensors may have been searched better: what it reaches, more sensors reach, too.
+        # A search with fewer sensors may have found a better value. More sensors can reach this value, too.
         sensors = {some: min(one for other, one in self.sensors.items() if {*other} <= {*some}) for some in self.sensors}
         return Recommendation(task, tuple(rows), sensors, self.bound, left, self.reserve, interrupted)

@@ -1,4 +1,4 @@
-"""Result of a recommendation, also as text and JSON: ranked table, lower bound, value of each sensor, and what was left out."""
+"""Result of a recommendation, also as text and JSON: ranked table, lower bound, value of each sensor, omitted candidates."""
 
 import math
 from collections.abc import Mapping
@@ -19,8 +19,8 @@ from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, TAIL
 from sim.studies.ride.scores import COLUMNS
 
-MOST_ROWS = 14  # of the table, so that it has at most 24 lines
-NEAR = 0.85  # share of a limit from which it binds
+MOST_ROWS = 14  # largest number of rows, so that the printed answer has at most 24 lines
+NEAR = 0.85  # used share of a limit above which the limit counts as binding
 WORDS = {"ride": "ride", "holding": "road holding", "travel": "travel"}
 DECIBELS = Field[float]("margin", lambda factor: 20 * math.log10(factor) if factor < 0.99 * MOST_GAIN else None, ".1f")
 SHARE, CHANGE = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[float]("change", float, "+.0f", 100.0, unit="%")
@@ -31,10 +31,10 @@ class RankedContender:
     """A ranked candidate.
 
     Attributes:
-        candidate: candidate of the row.
-        rating: rating in MuJoCo, or the expected one if it was not driven.
-        driven: True if it was driven in MuJoCo.
-        keeps: True if it keeps all limits with the reserve.
+        candidate: controller and vehicle of the row.
+        rating: rating in MuJoCo, or the expected rating if the candidate was not simulated.
+        driven: True if the candidate was simulated in MuJoCo.
+        keeps: True if the candidate keeps all limits, including the reserve.
     """
 
     candidate: Contender
@@ -44,7 +44,7 @@ class RankedContender:
 
     @property
     def proved(self) -> bool | None:
-        """True if stability and norm of its ideal loop are proved; None without forces or without a linear law."""
+        """True if stability and norm of the ideal loop are proved; None if the controller has no forces or no linear law."""
         one = self.candidate.controller
         return None if one.linear is not True or not one.acts else not one.certificate.failures
 
@@ -55,11 +55,11 @@ class Recommendation(ShownResult):
 
     Attributes:
         task: task of the recommendation.
-        rows: best candidate of every family; those that keep all limits come first.
-        sensors: expected value of the goal with the LQG of some sensors, by their groups.
-        bound: expected ride that no active controller of the same sensors falls below; None if it is not computed.
-        left_out: reasons for which families or controllers of the file are left out, by name.
-        reserve: share of stroke and force that is kept for roads that were not driven.
+        rows: best candidate of each family; candidates that keep all limits come first.
+        sensors: expected value of the goal with LQG control, for each tried set of sensor groups.
+        bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
+        left_out: omitted families and controllers of the file, by name, each with the reason.
+        reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
         interrupted: True if the search was interrupted.
     """
 
@@ -73,7 +73,7 @@ class Recommendation(ShownResult):
 
     @property
     def passive(self) -> RankedContender | None:
-        """The passive vehicle as it is."""
+        """The row of the unchanged passive vehicle."""
         return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
 
     @property
@@ -90,23 +90,23 @@ class Recommendation(ShownResult):
 
     @property
     def saved(self) -> RankedContender | None:
-        """The best of them that a file can contain, which is not one with preview or with a law in Python."""
+        """The best of the better controllers that a vehicle file can contain, so without preview and without a law in Python."""
         each = ((row, row.candidate.controller) for row in self.better)
         return next((row for row, one in each if (one.preview is None if one.linear is True else not one.user_code)), None)
 
     @property
     def summary(self) -> Document:
-        """The table, and what it means."""
+        """The ranked table with its explanation."""
         return describe(self)
 
 
 def roads_driven(task: Task) -> int:
-    """Returns the number of roads that each candidate drives over."""
+    """Returns the number of roads on which each candidate is simulated."""
     return len(SEEDS) if isinstance(task.road, Iso8608) else 1
 
 
 def road_words(task: Task) -> str:
-    """Returns the road and the speed in words."""
+    """Returns a text that describes the road and the speed."""
     return task.road.words.replace("random, ", "").replace(", seed 0", "")
 
 
@@ -122,20 +122,20 @@ def sensor_groups(task: Task, row: RankedContender) -> list[str]:
 
 
 def change(result: Recommendation, row: RankedContender) -> float | None:
-    """Returns the relative change of the goal from the passive vehicle; None for itself."""
+    """Returns the change of the goal relative to the passive vehicle; None for the passive vehicle itself."""
     usual = result.passive and result.passive.rating.value(result.task)
     return row.rating.value(result.task) / usual - 1 if usual and row is not result.passive else None
 
 
 def binding(result: Recommendation, row: RankedContender) -> str:
-    """Returns the limit that a row uses most, if it nearly reaches it, with an exclamation mark if it exceeds it."""
+    """Returns the limit that a row uses most; "-" if it is not nearly reached, and with "!" if it is exceeded."""
     used = result.task.within.used(row.rating.usage, result.reserve if row.driven else 0.0)
     name = max(used, key=used.__getitem__, default="")
     return "-" if not name or used[name] < NEAR else f"{name}!" if used[name] > 1 else name
 
 
 def table(result: Recommendation) -> Table:
-    """Returns the ranked table, with the passive vehicle in any case."""
+    """Returns the ranked table, which always contains the passive vehicle."""
     task, known, goal, passive = result.task, letters(result.task), GOALS[result.task.goal], result.passive
     rows = list(result.rows[:MOST_ROWS])
     if passive is not None and passive not in rows:
@@ -180,7 +180,7 @@ def table(result: Recommendation) -> Table:
 
 
 def legend(result: Recommendation, shown: int) -> str:
-    """Returns sentences on the numbers and letters of the table, which shows so many rows."""
+    """Returns sentences that explain the numbers and letters of the table, of which `shown` rows are printed."""
     task, count, left = result.task, roads_driven(result.task), len(result.rows) - shown
     how = f"Numbers of MuJoCo over {f'{count} roads' if count > 1 else 'the road'}"
     how = how if all(row.driven for row in result.rows) else "Expected values"
@@ -190,7 +190,7 @@ def legend(result: Recommendation, shown: int) -> str:
 
 
 def verdict(result: Recommendation, best: RankedContender | None) -> Statement:
-    """Returns the answer in a sentence."""
+    """Returns a sentence with the recommendation."""
     task, what = result.task, WORDS[result.task.goal]
     if best is None:
         return Statement(f"No candidate has a better {what} than the passive vehicle within the limits.", "ends", "brief")

@@ -1,4 +1,4 @@
-"""The recommended controller as a section of a vehicle file, ready for export."""
+"""Writes the recommended controller as a section of a vehicle file, from which it can be exported."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +17,11 @@ NAME = "best"
 def save(path: Path, result: Recommendation) -> str:
     """Writes the vehicle file with the recommended controller; returns the name of its section.
 
-    A controller with preview cannot be in a file, so the next best one is written. The name is `best`, or has a number if the
-    file has a controller of this name.
+    A file cannot contain a controller with preview. The next best controller is then written. The section is named `best`; a
+    number is added if the file already has a controller of this name.
 
     Raises:
-        InputError: there is no such controller, or the file cannot be written.
+        InputError: no controller can be written to a file, or the file cannot be written.
     """
     row, vehicle, taken = result.saved, result.task.vehicle, result.task.vehicle.controllers
     if row is None:
@@ -40,7 +40,7 @@ def save(path: Path, result: Recommendation) -> str:
     else:
         lines += section_lines(("controllers", name), one.law.record)
     text = with_sections(vehicle.text_for(path), lines)
-    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    parse_vehicle(text, folder=path.parent)  # checks that the written file can be read
     with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
     return name

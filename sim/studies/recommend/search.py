@@ -1,8 +1,8 @@
-"""Families of candidates, and the search of their numbers on the expectation over the road, by the simplex of Nelder and Mead.
+"""Families of candidates, and the Nelder-Mead search for their parameters, based on the expected metrics over the road.
 
-A family has a fixed number of evaluations, so the search finds the same candidates on any machine. MuJoCo has stops, clipped
-forces, noise and curves, which the expectation leaves out or makes straight. So the search is repeated with the factors by which
-the runs of its best candidate use more of the limits.
+The number of evaluations of a family is fixed, so the search finds the same candidates on any machine. MuJoCo simulates bump
+stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. The best candidate may
+therefore use more of a limit in MuJoCo than expected. The search is then repeated with this ratio as a factor on the limit.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,28 +21,29 @@ from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.task import Contender, Task
 from synth.plant.numerics import DesignError
 
-UNSTABLE = 1e3  # value of a point without a stable loop
-STEP, RESTART = 1.0, 0.4  # of the first simplex, and of a repeated search
-LARGE_PLANT, FEWER = 7, 0.4  # states; above, families have this share of evaluations
-MOST_ALONE = 3  # groups of sensors of which each is tried alone
-ORDER = 2  # states for each force of a law of fixed order
-PREVIEW_TIME = 0.2  # s, by which the road is known ahead
-SKYHOOK = (-0.7, 0.4, -4.0)  # start of its search
-LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}  # so that rounding does not decide on margins
+UNSTABLE = 1e3  # value of a point whose loop is not stable
+STEP, RESTART = 1.0, 0.4  # size of the first simplex, and of the simplex of a repeated search
+LARGE_PLANT, FEWER = 7, 0.4  # if the plant has more states, only this share of the evaluations is done
+MOST_ALONE = 3  # up to this number of sensor groups, each group is also tried alone
+ORDER = 2  # number of states per force of a fixed-order law
+PREVIEW_TIME = 0.2  # s, time by which the road is known in advance
+SKYHOOK = (-0.7, 0.4, -4.0)  # starting point of the search of skyhook
+# Name of LQG; safety factors on the margins, so that rounding does not decide whether they are kept
+LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}
 
 
 @dataclass(eq=False)
 class Family:
-    """Family of candidates that differ in a few numbers.
+    """A family of candidates that differ only in a few numbers.
 
     Attributes:
         name: name of the family.
         start: point at which the search begins, shape (k,).
-        build: function of a point; returns the candidate.
-        evaluations: number of evaluated points.
-        factors: factors on the use of limits, by which runs in MuJoCo exceed the expectation.
-        rated: stable candidates with their ratings and points.
-        failure: reason of the last candidate that could not be designed; empty for none.
+        build: function that returns the candidate for a point.
+        evaluations: number of points that are evaluated.
+        factors: for each limit, the ratio of its used share in MuJoCo to the expected one.
+        rated: stable candidates, each with its rating and point.
+        failure: reason why the last failed candidate could not be designed; empty if none failed.
     """
 
     name: str
@@ -54,16 +55,16 @@ class Family:
     failure: str = ""
 
     def best(self, task: Task) -> tuple[Contender, Rating, Array] | None:
-        """Returns the best candidate for the present factors; None without any."""
+        """Returns the best candidate for the present factors; None if there is no candidate."""
         return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
     def weights(self, task: Task, names: Sequence[str]) -> dict[str, float]:
-        """Returns the weights of these names of the best candidate, or those of the start."""
+        """Returns the named weights of the best candidate, or of the starting point if there is no candidate."""
         best = self.best(task)
         return dict(zip(names, (self.start if best is None else best[2]).tolist(), strict=True))
 
     def search(self, task: Task) -> None:
-        """Searches for the present factors; a repeated search begins at the best point."""
+        """Searches with the present factors. A repeated search begins at the best point found before."""
         from scipy import optimize
 
         def value(x: Array) -> float:
@@ -98,7 +99,7 @@ def optimal_family(
     preview: float = 0.0,
     free: Sequence[str] = (),
 ) -> Family:
-    """Returns the family of optimal laws of some sensors, in which some weights are free, by default all."""
+    """Returns the family of optimal laws for the measured sensors; `free` names the weights to search, by default all."""
     free = free or [*start]
 
     def build(x: Array) -> Contender:
@@ -110,9 +111,10 @@ def optimal_family(
 
 
 def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
-    """Yields the families of a task, the cheap ones first, each with the groups of sensors whose LQG it is or with none.
+    """Yields the families of a task, the cheap ones first. A family of LQG laws comes with its groups of sensors.
 
-    A family is to be searched before the next one is taken, whose search begins at its best point.
+    The caller must search each family before it takes the next one, because later families begin at the best points of earlier
+    families.
     """
     yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x.tolist()), 14), ()
     yield Family("damper, spring", np.zeros(2), lambda x: changed_passive(task, "damper, spring", x.tolist()), 30), ()

@@ -1,4 +1,4 @@
-"""Task of a recommendation: the car, its road and goal, its linear twin, its sensors and the limits of its hardware."""
+"""Task of a recommendation: the vehicle and its linear model, road, goal, sensors and hardware limits."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,10 +24,10 @@ from sim.studies.ride.scores import score_of
 from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
-WINDOW = 10.0  # s, measured on each road
-ROADS = 30  # of this window, whose largest value the linear stage expects
-NOISE = 0.01  # of a signal's rms without control: noise of a sensor for which the file gives none
-TRAVEL, FORCE = 1.25, 0.5  # assumed limits: of the passive car's peak travel, and of the static load
+WINDOW = 10.0  # s, time that is measured on each road
+ROADS = 30  # number of such windows over which linear analysis expects the largest value
+NOISE = 0.01  # assumed noise of a sensor without noise in the file, relative to the signal's rms without control
+TRAVEL, FORCE = 1.25, 0.5  # assumed limits of stroke and force, relative to the passive car's peak travel and to the static load
 SPEED = 20.0  # m/s, usual
 
 
@@ -37,11 +37,11 @@ class Task:
 
     Attributes:
         vehicle: vehicle of the file.
-        road: road, with seed 0 if it is random.
-        goal: quantity that is minimised.
-        within: limits that a candidate keeps.
-        timestep: timestep of the physics [s].
-        effort: number of evaluated candidates over the usual one.
+        road: road to drive over; a random road has seed 0.
+        goal: quantity to minimise: "ride", "holding" or "travel".
+        within: limits that a candidate must keep.
+        timestep: timestep of MuJoCo [s].
+        effort: number of evaluated candidates relative to the usual number.
     """
 
     vehicle: Vehicle
@@ -58,13 +58,13 @@ class Task:
 
     @property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the random road for which candidates are designed: the road's own, or that of class C."""
+        """Spectrum of the random road for which candidates are designed: that of the road, or else that of class C."""
         usual = Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle))
         return self.road.spectrum or usual.spectrum
 
     @property
     def coarse_step(self) -> float:
-        """Timestep of expectations [s]: the sample period, if the delay is a number of samples."""
+        """Timestep for expected metrics [s]: the sample period if the delay is an integer number of samples, else `timestep`."""
         how = self.vehicle.implementation
         return how.sample_period if how.sample_period and how.delay == int(how.delay) else self.timestep
 
@@ -86,49 +86,50 @@ class Task:
 
     @cached_property
     def expected_passive(self) -> ExpectedMetrics | None:
-        """Expected metrics of the passive vehicle over the road of the designs; None without a stable linear loop."""
+        """Expected metrics of the passive vehicle over the design road; None if the passive vehicle is not stable."""
         return expect(self.pushed, self.passive, self.spectrum, self.timestep, ROADS * WINDOW)
 
     @cached_property
     def passive_values(self) -> Mapping[str, float | None]:
-        """Expected columns of the comparison of controllers for the passive vehicle, by key; None without an expectation."""
+        """Expected metrics of the passive vehicle in the comparison of controllers, by key; None for an unknown metric."""
         return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
 
     @property
     def usual(self) -> float:
-        """Expected value of the goal for the passive vehicle; 1 without an expectation."""
+        """Expected value of the goal for the passive vehicle; 1 if it is unknown."""
         return self.passive_values.get(GOALS[self.goal]) or 1.0
 
     @cached_property
     def line(self) -> Vehicle:
-        """The linear vehicle: with the lines of statistical linearisation of the passive vehicle, or else those at rest."""
+        """The linear vehicle, by statistical linearisation of the passive vehicle, or else by linearisation at equilibrium."""
         return self.pushed.linearised if self.expected_passive is None else self.expected_passive.line.vehicle
 
     @property
     def white(self) -> float:
-        """Root of the two-sided intensity of the road's velocity [m/s per root of Hz]."""
+        """Square root of the two-sided spectral density of the road velocity [m/s per root of Hz]."""
         return math.sqrt(self.spectrum.density / 2)
 
     @cached_property
     def rms(self) -> Mapping[str, float]:
-        """Rms of every signal of the passive linear vehicle on a road of white velocity, by name."""
+        """Rms of each signal of the passive linear vehicle on a road whose velocity is white noise, by name."""
         model = self.line.linear_model
         push = self.white * model.Bw.sum(axis=1, keepdims=True)
-        slower = model.A - 0.2 * np.eye(len(model.A))  # 1/s, so that a body without a spring has a variance, too
+        # 0.2 1/s of extra damping, so that the variance of a body without a spring is finite
+        slower = model.A - 0.2 * np.eye(len(model.A))
         covariance = linalg.solve_continuous_lyapunov(slower, -push @ push.T)
         sizes = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", model.C, covariance, model.C), 0.0))
         return dict(zip(model.outputs, sizes.tolist(), strict=True))
 
     @cached_property
     def static_loads(self) -> Mapping[str, float]:
-        """Static load of the suspension of every force [N]; that of 400 kg if the vehicle type does not know it."""
+        """Static load of the suspension at each force [N]; the weight of 400 kg if the vehicle type does not define it."""
         kind = self.vehicle.kind
         loads, places = kind.static_loads(self.vehicle.parameters), {one.force: one.deflection for one in kind.suspensions}
         return {name: loads.get(places.get(name, ""), 400 * GRAVITY) for name in self.vehicle.linear_model.inputs}
 
     @cached_property
     def strokes(self) -> Mapping[str, tuple[float, float]]:
-        """Stroke in bump and in rebound [m], by deflection: of the file, or `TRAVEL` times the passive vehicle's peak travel."""
+        """Stroke in bump and rebound [m], by deflection: from the file, or else `TRAVEL` times the passive peak travel."""
         mean, given = {} if self.expected_passive is None else self.expected_passive.mean, self.pushed.parts.strokes
         strokes = {}
         for name in (one.deflection for one in self.vehicle.kind.suspensions):
@@ -139,12 +140,12 @@ class Task:
 
     @cached_property
     def forces(self) -> Mapping[str, float]:
-        """Largest force [N], by force: of the file, or `FORCE` times the static load."""
+        """Largest force [N] of each actuator: from the file, or else `FORCE` times the static load."""
         return {name: self.pushed.limits.actuator_force or FORCE * load for name, load in self.static_loads.items()}
 
     @property
     def assumed(self) -> list[str]:
-        """Sentences on the limits that the file lacks."""
+        """Sentences that state the assumed values of limits that the file does not contain."""
         texts = list[str]()
         if not all(self.pushed.parts.strokes.get(name) for name in self.strokes):
             most = brief(1e3 * max(min(one) for one in self.strokes.values()))
@@ -157,7 +158,7 @@ class Task:
 
     @cached_property
     def sensors(self) -> tuple[str, ...]:
-        """Sensors of the file: signals with noise or in a controller; without any, travel and accelerations."""
+        """Sensors of the file: signals with noise or in a controller. If there are none, travels and accelerations."""
         model, how = self.vehicle.linear_model, self.vehicle.implementation
         named = [*how.noise, *how.quantisation, *(name for one in self.vehicle.controllers.values() for name in one.measured)]
         real = dict.fromkeys(name for name in named if name in model.measurable and name not in model.inputs)
@@ -166,7 +167,7 @@ class Task:
 
     @cached_property
     def groups(self) -> Mapping[str, tuple[str, ...]]:
-        """Sensors by what they measure, those of all corners together."""
+        """Groups of sensors that measure the same quantity at different corners, by name of the quantity."""
         endings = sorted({one.ending for one in self.vehicle.kind.suspensions if one.ending}, key=len, reverse=True)
         groups: dict[str, tuple[str, ...]] = {}
         for name in self.sensors:
@@ -175,12 +176,12 @@ class Task:
         return groups
 
     def given_noise(self, measured: Sequence[str]) -> list[float]:
-        """Returns the rms noise of sensors in the file; 0 without noise."""
+        """Returns the rms noise of each sensor from the file; 0 if the file contains none."""
         how = self.vehicle.implementation
         return [how.noise.get(name) or how.quantisation.get(name, 0.0) / math.sqrt(12) for name in measured]
 
     def noise_of(self, measured: Sequence[str]) -> Array:
-        """Returns the white noise of sensors over that of the road: of the file, or `NOISE` of the signal."""
+        """Returns each sensor's white noise relative to that of the road: from the file, or else `NOISE` times the signal."""
         given = zip(measured, self.given_noise(measured), strict=True)
         sizes = [noise or NOISE * self.rms[name] for name, noise in given]
         return np.array(sizes) * math.sqrt(self.vehicle.implementation.sample_period or self.timestep) / self.white
@@ -191,10 +192,10 @@ class Contender:
     """Contender for a recommendation.
 
     Attributes:
-        name: name in the table, and of its family.
+        name: name of the candidate's family, as in the table.
         controller: controller of the candidate.
-        vehicle: vehicle that it drives, with another damper and spring for a passive candidate.
-        setting: numbers of the candidate in words.
+        vehicle: vehicle that is controlled; a passive candidate has another damper and spring.
+        setting: text with the numbers of the candidate.
         own: True for a controller of the file.
     """
 
@@ -206,5 +207,5 @@ class Contender:
 
     @property
     def pushes(self) -> bool:
-        """True if it drives force actuators."""
+        """True if the controller uses force actuators."""
         return self.controller.acts and not self.vehicle.dampers

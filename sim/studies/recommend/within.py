@@ -1,4 +1,4 @@
-"""Limits that a recommended controller keeps: stroke, force, stability margins, and contact of the tyres with the road."""
+"""Limits that a recommended controller must keep: stroke, force, stability margins, and contact of the tyres with the road."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -8,22 +8,22 @@ from models.common.errors import InputError, alike
 from models.common.printed import brief
 from models.common.units import quantity
 
-MOST_GAIN = 100.0  # a loop that tolerates this factor tolerates any
+MOST_GAIN = 100.0  # a loop that is stable up to this factor counts as stable for all factors
 RANGES = {"gain_margin": (1.0, MOST_GAIN, "6dB"), "disk": (0.0, 2.0, "0.3")}  # and an example
-TAIL = 12  # relative change of the time off the ground over that of the tyre load, at about 0.1 % of the time
+TAIL = 12  # a tyre load 1 % larger makes the time off the ground about 12 % longer, if this time is about 0.1 %
 SHARE = (0.0, 1.0, "95%")
 
 
 class Usage(NamedTuple):
-    """Use of the limits by a candidate.
+    """Quantities of a candidate that are compared with the limits.
 
     Attributes:
-        stroke: largest peak travel as a share of the stroke on its side.
-        force: largest peak force as a share of the largest force.
-        gain_margin: factor on all forces, or its inverse, at which the loop is unstable, up to `MOST_GAIN`.
+        stroke: largest peak travel relative to the stroke in its direction (bump or rebound).
+        force: largest peak force relative to the largest allowed force.
+        gain_margin: smallest factor, up or down, on all forces at which the loop becomes unstable; at most `MOST_GAIN`.
         disk: symmetric disk margin, from 0 to 2.
         off_ground: share of the time in which a tyre does not touch the ground.
-        passive_off_ground: the same for the passive vehicle, which any candidate may reach.
+        passive_off_ground: share of this time for the passive vehicle, which any candidate may reach.
     """
 
     stroke: float
@@ -36,13 +36,14 @@ class Usage(NamedTuple):
 
 @dataclass(frozen=True)
 class Within:
-    """Limits on a recommended controller; None for a limit that does not count.
+    """Limits on a recommended controller; None for a limit that is not used.
 
     Attributes:
-        stroke, force: largest share of the stroke, and of the largest force.
-        gain_margin: smallest factor on all forces, up or down, at which the loop may become unstable.
-        disk: smallest symmetric disk margin.
-        off_ground: largest share of the time in which a tyre does not touch the ground.
+        stroke, force: largest allowed share of the stroke, and of the largest force.
+        gain_margin: smallest allowed gain margin, as a factor: the loop must be stable if all forces are multiplied or divided by
+            less.
+        disk: smallest allowed symmetric disk margin.
+        off_ground: largest allowed share of the time in which a tyre does not touch the ground.
     """
 
     public_name = "limits of a Recommendation"
@@ -54,9 +55,10 @@ class Within:
     off_ground: float | None = 1e-3
 
     def used(self, usage: Usage, reserve: float = 0.0) -> dict[str, float]:
-        """Returns how much of each limit is used, 1 at the limit, with a share of stroke and force that is kept in reserve.
+        """Returns the used share of each limit, 1 at the limit; `reserve` is the share of stroke and force kept in reserve.
 
-        Time off the ground is a tail of the tyre load, so its reserve is larger: it keeps the share to the power of `TAIL`.
+        The time off the ground depends on rare tyre loads, so its reserve is larger: (1 - reserve) to the power of `TAIL`
+            remains.
         """
         share, gain, least = 1 - reserve, math.log(max(usage.gain_margin, 1 + 1e-9)), 1e-9
         used = {
@@ -70,7 +72,7 @@ class Within:
 
     @property
     def text(self) -> str:
-        """The limits in words."""
+        """Text that lists the limits."""
         decibels = None if self.gain_margin is None else 20 * math.log10(self.gain_margin)
         pairs = {"stroke": (self.stroke, 100, " %"), "force": (self.force, 100, " %"), "gain margin": (decibels, 1, " dB")}
         pairs |= {"disk margin": (self.disk, 1, ""), "off the ground": (self.off_ground, 100, " %")}
@@ -79,7 +81,7 @@ class Within:
 
 
 def read_within(text: str) -> Within:
-    """Returns the limits of `--within`, such as `stroke=90%,force,gain_margin=6dB,off_ground=none`; others have their defaults.
+    """Returns the limits from a text such as `stroke=90%,force,gain_margin=6dB,off_ground=none`; all others have their defaults.
 
     Raises:
         InputError: a name is unknown or given twice, or a value is not allowed.

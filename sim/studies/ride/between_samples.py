@@ -1,10 +1,11 @@
-"""Signals between their samples, as polynomials, from which extrema, crossings and integrals follow without sampling errors.
+"""Signals between their samples as polynomials, which give extrema, crossings and integrals without sampling errors.
 
-A signal consists of pieces, one polynomial per timestep. Shorter pieces are used while wheels pass an edge that is only a few
-steps long. A linear response is known exactly at any time, so each piece has enough points for its polynomial. Degree 8
-describes a mode of 1 rad per step with an error of 1e-11. A MuJoCo signal is known only at its samples. Each piece is then a
-cubic through the four nearest samples; a held force is constant from one sample to the next. No polynomial crosses a vertical
-edge of the road or a switching instant (`sim.drive.jumps`): each side ends with its own value.
+A signal consists of pieces with one polynomial each. A piece is one timestep long, or shorter while wheels pass an edge of the
+road that lasts only a few steps. A linear response is known exactly at any time, so enough points for a polynomial of high degree
+exist in each piece. A polynomial of degree 8 describes a mode that advances by 1 rad per step with an error of 1e-11. A MuJoCo
+signal is known only at its samples. Each piece is then a cubic through the four nearest samples; a held force is constant from
+one sample to the next. No polynomial crosses a vertical edge of the road or a switching instant (`sim.drive.jumps`), where a
+signal has one value on each side.
 """
 
 import itertools
@@ -25,9 +26,9 @@ from sim.runs.run import Run
 
 DEGREE = 8  # degree of the polynomial of a piece
 PER_GAP = 8  # smallest number of pieces between two adjacent kinks of the road
-MOST_POINTS = 2_000_000  # largest number of points of a response; polynomials of longer runs have a lower degree
-BULGE = 0.1  # largest excess of a polynomial over its points, relative to their range
-EARLY = 1e-6  # tolerance of a time, relative to a step
+MOST_POINTS = 2_000_000  # largest number of points of a response; in longer runs, the polynomials have a lower degree
+BULGE = 0.1  # largest amount by which a polynomial may exceed its points, relative to their range
+EARLY = 1e-6  # tolerance of times, relative to a step
 ROUNDING = 1e-13  # smallest value that counts as a change of sign, relative to the largest value
 
 
@@ -54,7 +55,7 @@ class Pieces:
         return replace(self, values=self.values * factor)
 
     def before(self, whole: "Pieces", steps: int) -> "Pieces":
-        """Returns these pieces, followed by the pieces of a whole run after its first `steps` pieces."""
+        """Returns these pieces, followed by the pieces of `whole` after the first `steps` pieces."""
         if self.values.shape[1] != whole.values.shape[1]:
             return whole
         both = ((getattr(self, name), getattr(whole, name)[steps:]) for name in ("start", "length", "values"))
@@ -80,11 +81,11 @@ class Pieces:
         return float(np.sqrt(self.length @ (at_nodes**2 @ weights / 2) / self.length.sum()))
 
     def polynomial(self, k: int) -> Array:
-        """Returns the Chebyshev coefficients of piece `k`, whose variable runs from -1 to 1."""
+        """Returns the Chebyshev coefficients of piece `k`, for a variable from -1 to 1."""
         return _fit(self.values.shape[1]) @ self.values[k]
 
     def time(self, k: int, x: float) -> float:
-        """Returns the time [s] of a point `x` in piece `k`, where x runs from -1 to 1."""
+        """Returns the time [s] of a point in piece `k`; x = -1 is the start of the piece, and x = 1 the end."""
         return float(self.start[k] + self.length[k] * (x + 1) / 2)
 
     def at(self, times: Array) -> Array:
@@ -159,7 +160,7 @@ class Pieces:
 def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     """Returns signals of the continuous linear response of a run, exact between samples; empty if there is no such response.
 
-    If the road velocity has a kink within a piece, the polynomial has an error of 1e-3 of the effect of this kink. If kinks are
+    If the road velocity has a kink within a piece, the error of the polynomial is 1e-3 of the effect of this kink. If kinks are
     only a few steps apart, the steps until the last wheel has passed them are divided into shorter pieces.
 
     Args:
@@ -213,7 +214,8 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     for name in signals:
         values = response[name]
         ends = values[parts::parts].copy()
-        if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:  # a held force changes after its step
+        # A held force changes only at the end of its step
+        if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
@@ -224,7 +226,7 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
 
 
 def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
-    """Returns pieces that are divided at jumps of the signal. Each polynomial uses only points on its side of a jump.
+    """Returns pieces that are divided at jumps of the signal. Each polynomial uses only points on one side of a jump.
 
     Args:
         pieces: pieces of the signal. A point at the time of a jump has the value before the jump.
@@ -251,7 +253,7 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
 
 
 def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals of a response that is known only at its samples: cubics between jumps, and constant held forces.
+    """Returns signals that are known only at samples: held forces are constant, other signals are cubics between jumps.
 
     Args:
         run: the run.
@@ -262,7 +264,7 @@ def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...])
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
     held -= {one.force for one in run.vehicle.parts.adjustable}  # a held damping coefficient does not give a constant force
     edges, pieces = road.vertical_edges(), dict[str, Pieces]()
-    early = [k for k, edge in edges.items() if not edge.behind]  # for these, `before` contains the values after the edge
+    early = [k for k, edge in edges.items() if not edge.behind]  # at these edges, `before` contains the values after the edge
     for name in signals:
         right, left, parts = response[name].copy(), response.before.get(name, response[name]).copy(), list[Array]()
         right[early], left[early] = left[early], right[early]
@@ -282,7 +284,7 @@ def _cubics(values: Array) -> Array:
     offset = np.arange(count - 1) - first
     grid = np.arange(float(near))
     coefficients = np.empty((count - 1, 4))
-    for where in range(near - 1):  # position of the step among the gaps between these samples
+    for where in range(near - 1):  # index of the step among the gaps between these four samples
         rows = np.flatnonzero(offset == where)
         x = where + np.arange(4.0) / 3
         lagrange = np.array([np.prod([(x - m) / (j - m) for m in grid if m != j], axis=0) for j in grid])
@@ -296,7 +298,7 @@ def _fit(points: int) -> Array:
 
 
 def _integral(points: int) -> Array:
-    """Returns the weights of equidistant values in their integral from -1 to 1."""
+    """Returns the weights of equidistant values that give the integral from -1 to 1."""
     even = np.array([2 / (1 - j * j) if j % 2 == 0 else 0.0 for j in range(points)])
     return even @ _fit(points)
 

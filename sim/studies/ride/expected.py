@@ -1,40 +1,43 @@
 """Expected metrics of a linear vehicle on a random road, and the remaining transient when the measurement begins.
 
-The vertical road velocity is white within its band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per Hz. Rear wheels
-follow with a delay, and the two tracks have the coherence of the road. The velocity of wheel j is therefore e_j(omega) times
-two independent white sources. With the frequency response H of the implemented loop,
+The vertical road velocity is white noise within a frequency band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per Hz
+at the speed V. Rear wheels meet the same road later, and left and right track are coherent to the degree that the road defines.
+The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the frequency
+response of the implemented loop, the spectrum and the covariance of outputs i and k are
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
-A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is
-a function of the road frequency and includes the images: |H e|^2 of each step. The mean of this spectrum over the steps is the
-sum over the images (Parseval). Means over time are means over the steps. Spreads and largest values use the mean spectrum.
+A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is a
+function of the road frequency omega. It includes the images, because it is |H e|^2 at each step of the period. The mean of this
+spectrum over the steps is the sum over the images (Parseval). Means over time are computed as means over the steps. Spreads and
+largest values are computed from the mean spectrum.
 
 The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
 then equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary
-linear run, metrics that are means are exact. These are mean squares (also of the tyre load, which is never negative), shares of
-time, and power and energy of the held force. The integral in the VDV is also exact, because E a^4 = 3 sigma^4. Nonlinear
-springs and dampers are replaced by equivalent lines (`statistical_linearisation.py`), which is approximate.
+linear run, expected values of mean quantities are exact: mean squares (including the tyre load, which is never negative), shares
+of time, and power and energy of held forces. The integral in the vibration dose value (VDV) is also exact, because E a^4 = 3
+sigma^4 for a Gaussian acceleration a. For nonlinear springs and dampers, equivalent lines are used
+(`statistical_linearisation.py`), which is an approximation.
 
-Largest values are approximate, and too large for windows that are short compared with the decay time of the vehicle. These
-errors were found by comparison with linear responses over 200 roads, for three built-in vehicles with `passive`, `I` and `II`,
-at 10, 20 and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for the
-travel of the passive quarter-car. The expected values are too large, except crest factors of well damped loops: these are up to
-4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are too
+Expected largest values are approximate. They are too large if the window is short compared with the decay time of the vehicle.
+These errors were found by comparison with linear responses over 200 roads, for three built-in vehicles with `passive`, `I` and
+`II`, at 10, 20 and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for
+the travel of the passive quarter-car. The expected values are too large, except crest factors of well damped loops: these are up
+to 4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are too
 large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up to
 45 % too large, because its formula assumes a window much longer than the decay time.
 
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
 response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel
-enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j, x0_j is their equilibrium with
-this wheel raised by 1. L is the transition matrix over one sample. If wheel j has been on the road for k_j samples, a
-signal with the output row C is at time t
+enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j, and x0_j is their equilibrium if
+this wheel is raised by 1. L is the transition matrix over one sample. If wheel j has been on the road for k_j samples, a signal
+with the output row C has the following value at time t, summed over the wheels on the road:
 
     A exp(j omega t) - B,    A = sum over j of (C X_j + Cr_j / j omega) e_j,
     B = sum over j of (C L^k_j (X_j - x0_j / j omega) + (C x0_j + Cr_j) / j omega) e_j at the start,
 
-summed over the wheels on the road. The phases of the lines are independent, so the variance is the integral over the band of
+The phases of the lines are independent, so the variance is the integral over the band of
 
     |A|^2 + |B|^2 - 2 Re A conj(B) exp(j omega t).
 
@@ -64,7 +67,7 @@ from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, radius, with_endin
 from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
 
-STILL = 1e-12  # variance below which a signal does not move, relative to the largest variance in the same unit
+STILL = 1e-12  # variance below which a signal counts as zero, relative to the largest variance in the same unit
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ def remaining_transient(
     Args:
         vehicle: the vehicle.
         controller: the controller.
-        road: spectrum of the road; its roughness has no effect.
+        road: spectrum of the road; the roughness has no effect.
         timestep: timestep of the sampled loop [s].
         start: time at which the measurement begins [s]. This time and the delays of rear wheels are rounded to whole samples of
             the controller.
@@ -148,7 +151,7 @@ def settled_shares(
     longest = longest_panel(vehicle, road.speed, controller.ahead)
     band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest)
     A, B = np.split(band.values, 2, axis=1)
-    # A has the phase at time 0 and B the phase at the start, so the product is rotated by the time between them.
+    # A has the phase at time 0, and B the phase at the start, so the product is rotated by the phase between these times.
     cross = np.real(band.turning(sample * period) @ np.sum(A * np.conj(B), axis=-1))
     now = band.share @ (power_of(A) + power_of(B)) - 2 * cross
     comes_to = band.share @ (power_of(A) if here.all() else final(band.omega))
@@ -162,7 +165,7 @@ def settled_shares(
     }
 
 
-FORGOTTEN = 0.01  # share of the variance that the slowest mode may lack when the measurement begins
+FORGOTTEN = 0.01  # share of its final variance that the slowest mode may still lack when the measurement begins
 EXACT = 1e-4  # relative error of an integral above which an error is reported
 
 
@@ -171,11 +174,11 @@ class ExpectedMetrics:
     """Expected metrics of a run over random roads with the same spectrum.
 
     Attributes:
-        mean: expected value by metric: for an rms, the root of the expected mean square; for the VDV, the fourth root of the
-            expected integral. The mean of an rms over roads is lower than this value by half the relative variance of the rms.
-            The mean of a VDV is lower by 1.5 times its relative variance.
+        mean: expected value, by metric. For an rms, this is the root of the expected mean square; for the VDV, the fourth root of
+            the expected integral. The mean of an rms over roads is lower than this value by half the relative variance of the
+            rms. The mean of a VDV is lower by 1.5 times its relative variance.
         spread: standard deviation of each rms metric from road to road, by metric.
-        error: upper estimate of the relative error of the integrals; it is reported if it exceeds `EXACT`.
+        error: upper estimate of the relative error of the integrals, which is reported if it exceeds `EXACT`.
         line: linear equivalent of the vehicle (`statistical_linearisation.py`).
     """
 
@@ -186,7 +189,7 @@ class ExpectedMetrics:
 
 
 def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
-    """Returns the time [s] after which the slowest mode lacks only the share `FORGOTTEN` of its final variance.
+    """Returns the time [s] after which the variance of the slowest mode is within the share `FORGOTTEN` of its final value.
 
     The time is infinite for an unstable loop and for a nonlinear law.
     """
@@ -204,7 +207,7 @@ def passive_settling_time(vehicle: Vehicle) -> float:
 
 @one_thread()
 def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> ExpectedMetrics | None:
-    """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no equivalent line exists.
+    """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no equivalent line is found.
 
     Args:
         vehicle: the vehicle.
@@ -238,7 +241,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         """Returns the spectra of all signals, of weighted accelerations and of actuator work, for each step of a period."""
         pulls = () if rest is None else rest.pulls
         at_steps, jumps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
-        for name, tyre in damped.items():  # deflection of an undamped tyre with the same force
+        for name, tyre in damped.items():  # deflection of an undamped tyre that has the same force
             at_steps[:, :, index[name]] += tyre.time * at_steps[:, :, index[tyre.hub]]
             turns = np.exp(1j * omega * timestep * np.arange(len(at_steps))[:, None])
             at_steps[:, :, index[name], loads[name]] -= tyre.time * turns
@@ -255,7 +258,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         return road.density * np.moveaxis(powers, 0, 1)
 
     def checked(_: Array, spectra_by_step: Array) -> Array:
-        """Returns the means over a period of those spectra that cannot be negative."""
+        """Returns the means over a period of the spectra that cannot be negative."""
         return spectra_by_step[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))
@@ -303,7 +306,7 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
     """Returns the amplitudes of weighted signals, with the shape of `at_steps`. Each image is weighted at its own frequency.
 
     Args:
-        at_steps: amplitudes of a signals for both sources at each step of a period, shape (steps, F, a, 2).
+        at_steps: amplitudes of `a` signals due to both sources at each step of a period, shape (steps, F, a, 2).
         omega: frequencies of the road [rad/s], shape (F,).
         timestep: length of a step [s].
         weigh: frequency weighting.
@@ -321,7 +324,7 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
     Args:
         force: force amplitudes for both sources at each step and at the first step of the next period [N], shape
             (steps + 1, F, 2).
-        travel: amplitudes of the travel of its suspension [m], same shape.
+        travel: amplitudes of the travel of the actuator's suspension [m], shape (steps + 1, F, 2).
         lags: True if the force changes within a step, False if it is held.
 
     Returns:

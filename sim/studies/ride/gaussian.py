@@ -1,15 +1,16 @@
-"""Statistics of a Gaussian signal with zero mean over a window of time T, from its spectrum.
+"""Statistics of a Gaussian signal with zero mean over a window of duration T, computed from the spectrum of the signal.
 
 The signal is stationary or cyclostationary. Some statistics are exact: mean squares (also of the clipped signal min(x, s)),
-fourth powers, shares of time beyond a threshold, and mean positive parts of products. With a = s / sigma, the normal density
-phi and its tail probability Q,
+fourth powers, shares of time beyond a threshold, and mean positive parts of products. For example, if a = s / sigma, phi is the
+density of the normal distribution, and Q the tail probability,
 
     E min(x, s)^2 = sigma^2 (1 - Q(a) - a phi(a) + a^2 Q(a)).
 
-For a cyclostationary signal, these are means over the steps of a period. The other statistics use the mean spectrum.
+For a cyclostationary signal, the exact statistics are means over the steps of a period. The other statistics use the mean
+spectrum.
 
-The variance of a mean square is asymptotic: it assumes a window much longer than the correlation time. min(x, s)^2 is a sum of
-Hermite polynomials of x / sigma. The term of degree k with coefficient c_k contributes (2 / T) c_k^2 times the integral of
+The formula for the variance of a mean square is asymptotic, for a window much longer than the correlation time. min(x, s)^2 is a
+sum of Hermite polynomials of x / sigma. The term of degree k with coefficient c_k contributes (2 / T) c_k^2 times the integral of
 rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, only c_2 is nonzero, and the variance is the
 integral of S^2 df / T.
 
@@ -73,13 +74,13 @@ class Gaussian:
         return statistics.fmean(float(scipy.special.ndtr(-threshold / sigma)) if sigma else 0.0 for sigma in self.sigmas)
 
     def clipped_mean_square(self, clip: float) -> float:
-        """Returns E min(x, clip)^2 for a positive clip, which may be infinite."""
+        """Returns E min(x, clip)^2 for a positive limit `clip`, which may be infinite."""
         if not self.sigma or math.isinf(clip):
             return self.sigma**2
         return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
     def mean_square_variance(self, window: float, clip: float) -> float:
-        """Returns the variance of the mean of min(x, clip)^2 over a window [s], which is at most the variance at one instant."""
+        """Returns the variance of the mean of min(x, clip)^2 over a window [s]; it never exceeds the variance at one instant."""
         if not self.sigma:
             return 0.0
         square = float(self.share @ self.spectrum**2) / (4 * self.sigma**4)  # integral of rho^2 from 0 to infinity
@@ -116,7 +117,8 @@ class Gaussian:
         if not self.sigma:
             return 0.0
         mass, apart = self._mass, np.arange(len(self._mass)) * BIN
-        # Products of the variance at pairs of frequencies: by their difference in `pairs`, by their sum in `sums`.
+        # Products of the variances at pairs of frequencies. `pairs` sorts them by the difference of the frequencies, `sums` by
+        # the sum.
         pairs = 2 * np.fft.irfft(np.abs(np.fft.rfft(mass, _power_of_two(2 * len(mass)))) ** 2)[: len(mass)]
         pairs[0] /= 2
         low = 1 / (1 + (2 * np.pi * apart * memory) ** 2)
@@ -124,9 +126,10 @@ class Gaussian:
         sums = np.convolve(mass[: 8 * 64], mass[: 8 * 64])  # up to 8 Hz, because the running mean suppresses higher frequencies
         quick = float(sums @ (1 / (1 + (2 * np.pi * (np.arange(len(sums)) + 1) * BIN * memory) ** 2)))
         variance = slow + quick
-        rate = math.sqrt(float(pairs @ (1 - low)) / slow) / memory  # rms of the derivative of the slow part, relative to its rms
+        # Rms of the derivative of the slow part, relative to the rms of this part
+        rate = math.sqrt(float(pairs @ (1 - low)) / slow) / memory
         shape = self.sigma**4 / variance
-        # Each level of the mean square is exceeded as often as the level u of a Gaussian signal with this rate.
+        # A level of the mean square is exceeded as often as a corresponding level u of a Gaussian signal with this rate.
         u = np.linspace(-5, 8, 1301)
         below = scipy.special.ndtr(u) * np.exp(-rate / (2 * np.pi) * window * np.exp(-(u**2) / 2))
         levels = scipy.special.gammainccinv(shape, scipy.special.ndtr(-u)) / shape
@@ -160,10 +163,10 @@ class RandomSignals:
         window: duration of the measurement [s].
         timestep: timestep of the signals [s].
         speed: speed of the vehicle [m/s].
-        variance_share: share of the variance from road to road that remains because a road has a finite length.
+        variance_share: factor on the variance from road to road, below 1 because a road has a finite length.
         mean: means of the signals whose mean is not zero, by name.
         static: static deflection of each tyre [m].
-        strokes: strokes in bump and in rebound [m] of each suspension with stops; infinite without a stop.
+        strokes: strokes in bump and in rebound [m] of each suspension with stops; infinite on a side without a stop.
         works: expected work per step and its positive part [J] of each actuator in a suspension.
     """
 
@@ -238,7 +241,7 @@ def _hermite_of_clipped_square(k: int, a: float) -> float:
     density = math.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
 
     def below(m: int) -> float:
-        """Returns the integral of He_m(z) phi(z) over z < a."""
+        """Returns the integral of He_m(z) phi(z) from minus infinity to a."""
         return float(scipy.special.ndtr(a)) if m == 0 else -float(scipy.special.eval_hermitenorm(m - 1, a)) * density
 
     return 2 * (below(k) + (k - 1) * below(k - 2))

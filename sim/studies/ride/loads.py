@@ -1,4 +1,4 @@
-"""The study of loads on the body: angles and suspension travel under loads on a flat road, and dive under braking."""
+"""The study of loads on the body: body angles and suspension travel on a flat road under loads, and dive under braking."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,14 +49,14 @@ def duration_of(loads: Sequence[Load]) -> float:
 
 
 def _dive(vehicle: Vehicle) -> Metric | None:
-    """Returns the metric of dive; None for a vehicle that cannot pitch."""
+    """Returns the metric for dive; None for a vehicle that cannot pitch."""
     return next(iter(compared_metrics(vehicle, loaded=True).get("dive", ())), None)
 
 
 def dives(scope: Subject) -> dict[str, float]:
     """Returns the largest dive under braking in MuJoCo [deg], by controller; empty for a vehicle that cannot pitch.
 
-    Controllers whose run breaks off are omitted.
+    Controllers with an aborted run are omitted.
     """
     vehicle, controllers = scope.vehicle, [*scope.stable, *scope.laws]
     if (dive := _dive(vehicle)) is None:
@@ -111,7 +111,7 @@ def loads_section(scope: Subject) -> Document:
 
 
 def _panels(scope: Subject, road: RoadWithLoads, runs: Sequence[Run], travels: Sequence[str]) -> Iterator[Panel]:
-    """Yields panels over time: loads, then angles of the body, then suspension deflections."""
+    """Yields panels over time: first the loads, then the body angles, then the suspension deflections."""
     vehicle = scope.vehicle
     acting = load_histories(vehicle, road, runs[0].physics.time)
     assert acting is not None, "a road with loads"

@@ -3,16 +3,16 @@
 A metric is a class of the registry `METRICS`, with a name, a unit, signals, rules over time and over runs, and an expected
 value.
 
-A held force jumps at a sample, and so do the accelerations. Each sample of an acceleration is the mean of the values just
-before and just after the jump. The value after the jump would not include the mean delay of a held force, which is half a step.
-A loop whose forces cancel most of the spring and damper forces would then seem better by several per cent.
+A held force jumps at each sample, and the accelerations jump with it. Each sample of an acceleration is the mean of the values
+just before and just after the jump. The value after the jump would not include the mean delay of a held force, which is half a
+step. A loop whose forces cancel most of the spring and damper forces would then seem better by several per cent.
 
 The time window of all metrics excludes the transient at the start of a run. The filter for the weighting W_k of ISO 2631-1
-(`sim/studies/ride/weighting.py`) has a delay of three samples. To get its output for the last three samples of the window, the
-acceleration is extrapolated by a straight line through its last two samples.
+(`sim/studies/ride/weighting.py`) has a delay of three samples. For the filter output at the last three samples of the window, the
+acceleration is extrapolated by a straight line through the last two samples.
 
-With semi-active dampers, the rms of an acceleration uses the values on both sides of each jump. So do the rms and the peak of a
-damper force.
+With semi-active dampers, the rms of an acceleration uses the values on both sides of each jump. The rms and the peak of a damper
+force also use the values on both sides.
 
 The angles of the body are linear functions of deflections and road heights (`VehicleKind.angles`). For MuJoCo, which has finite
 angles, the error is of second order in the angle.
@@ -50,7 +50,7 @@ def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
 
 
 def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles of the body [deg] by name, in equilibrium of the linear loop under constant loads.
+    """Returns the angles of the body [deg] by name, for the equilibrium of the linear loop under constant loads.
 
     The result is empty if the loop is unstable or the law is nonlinear.
 
@@ -58,7 +58,7 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
         vehicle: the vehicle.
         controller: the controller.
         road: road with the loads.
-        time: time whose loads act [s].
+        time: time at which the loads are taken from the road [s].
     """
     if controller.linear is False:
         return {}
@@ -73,8 +73,8 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
 
 RUNNING_TIME_CONSTANT = 1.0  # time constant of the running rms [s]
 DEFINITIONS = 7  # version of the metrics and their expectations; incremented whenever a number changes
-LATE_WINDOW = 6  # last version in which the window of weighted metrics was three samples late
-ONE_SIDED = 5  # version with one value at jumps of signals that semi-active dampers switch; other numbers are those of version 6
+LATE_WINDOW = 6  # last version in which the window of weighted metrics began and ended three samples late
+ONE_SIDED = 5  # version that used one value at jumps caused by semi-active dampers; all other numbers equal those of version 6
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ class Column:
         scale: factor from the SI unit to the printed unit.
         change: name of the change relative to the passive vehicle; empty for a column without changes.
         praise: verb and object for a sentence about the best controller; empty if no sentence mentions this column.
-        bars: title of the bar chart in a report; empty without a bar chart.
-        by_side: True for travel, which is shown separately in bump and in rebound if the vehicle has stops.
+        bars: title of the bar chart in a report; empty if the report has no bar chart for this column.
+        by_side: True for travel, which is shown separately for bump and rebound if the vehicle has stops.
     """
 
     label: str
@@ -152,10 +152,10 @@ class Metric:
         source: name of the evaluated signal.
         what: name of the statistic, which is part of the name of the metric.
         unit: SI unit of the metric.
-        of: group of signals. Tables list metrics of one group together.
+        of: group of signals to which the metric belongs. Tables list the metrics of a group together.
         over_runs: rule that combines the values of several runs.
         approximate: False if the expected value is exact for a stationary linear run.
-        expectation: definition of the expected value, if it is not the mean.
+        expectation: text that defines the expected value, if it is not the mean.
         accuracy: text about the error of an approximate expected value; empty if it is not stated.
         column: column in the table of controllers; None if the table does not contain this metric.
         headline: name in the short tables of campaigns and reports; empty if they do not contain this metric.
@@ -198,7 +198,7 @@ class Metric:
 
     @classmethod
     def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that have an additional column of their own in the table of controllers."""
+        """Returns the signals that have their own additional column in the table of controllers."""
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
@@ -214,7 +214,7 @@ class Metric:
         """
 
     def result(self, totals: Totals, meter: "Meter") -> Array:
-        """Returns the metric after the last block, shape (N,)."""
+        """Returns the values of the metric for N runs after the last block, shape (N,)."""
         raise NotImplementedError
 
     def expected(self, random: "RandomSignals") -> Expectation:
@@ -328,7 +328,8 @@ class Meter:
         self.last: dict[str, Array] = {}  # last two samples of accelerations, shape (N, 2)
         self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.vehicle.dampers else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
-        self.before: dict[str, Array] = {}  # last samples of forces and deflections, from which the work follows, shape (N, 1)
+        # Last samples of forces and deflections, from which the work is computed, shape (N, 1)
+        self.before: dict[str, Array] = {}
         self.seen = self.samples = 0
 
     def update(self, values: Array) -> None:
@@ -351,7 +352,7 @@ class Meter:
 
     def result(self) -> dict[str, Array]:
         """Returns all metrics by name after the last block, shape (N,) each."""
-        for name, last in self.last.items():  # the filter has a delay, so accelerations are extrapolated by straight lines
+        for name, last in self.last.items():  # the filter has a delay, so accelerations are extrapolated linearly
             self._weigh(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
         self.last = {}
         return {metric.name: metric.result(totals, self) for metric, totals in self.totals.items()}
@@ -391,7 +392,7 @@ class Meter:
     def work(self, force: str) -> Array:
         """Returns the work of an actuator [J] in each step that ends in the current block, shape (N, B).
 
-        The first block has one step less than samples, so the shape is (N, B - 1).
+        The first block contains one step less than it contains samples, so its result has the shape (N, B - 1).
         """
         if force not in self.works:
             acting, along = self._joined(force), self._joined(self.vehicle.kind.deflection_of(force))
@@ -437,7 +438,7 @@ def measure(
     earlier: bool = False,
     speed: float = math.nan,
 ) -> dict[str, float]:
-    """Returns the metrics of one response by name; NaN if the run broke off.
+    """Returns the metrics of one response by name; NaN if the run was aborted.
 
     Args:
         vehicle: the vehicle.

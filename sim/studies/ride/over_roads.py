@@ -1,4 +1,4 @@
-"""The study of ride over random roads of several classes, measured in MuJoCo and predicted from their spectrum."""
+"""The study of ride over random roads of several classes, measured in MuJoCo and predicted from the spectra of the roads."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,7 +45,7 @@ class Ride:
         measured: root mean square over the roads, measured in MuJoCo.
         predicted: prediction from the spectrum of the class.
         spread: predicted standard deviation from road to road.
-        events: text with the share of time in which a tyre lifts off, and with the number of runs that broke off.
+        events: text with the share of time in which a tyre is off the ground, and with the number of aborted runs.
     """
 
     road_class: str
@@ -59,7 +59,7 @@ class Ride:
 
     @property
     def share(self) -> float | None:
-        """Spread relative to the prediction; None if one of them is unknown."""
+        """Spread relative to the prediction; None if the spread or the prediction is unknown."""
         share = self.spread / self.predicted if self.predicted else math.nan
         return share if math.isfinite(share) else None
 
@@ -135,7 +135,7 @@ def _best_ride(rides: Sequence[Ride]) -> str:
 
 
 def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns sentences that explain the table of the ride, and which parts of the vehicle the predictions omit."""
+    """Returns sentences that explain the table of the ride, and that list the parts of the vehicle which the predictions omit."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
     without = join_words([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
@@ -180,7 +180,7 @@ class OverRoads:
         self.found = meter.result()
 
     def score(self) -> Score:
-        """Returns the score of the controller on the roads of class `AVERAGE`; without values if one of these runs broke off."""
+        """Returns the controller's score on the roads of class `AVERAGE`; without values if one of these runs was aborted."""
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
             return score_of(self.vehicle, self.controller.name, {})

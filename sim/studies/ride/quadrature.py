@@ -1,4 +1,4 @@
-"""Poles of a sampled loop, near which the integration of its spectra needs a fine grid, and spectra from amplitudes."""
+"""Poles of a sampled loop, near which the integration of spectra needs a fine grid, and spectra computed from amplitudes."""
 
 import math
 
@@ -13,9 +13,10 @@ from synth.controller.loop_of import loop_of
 
 
 def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
-    """Returns the poles that determine the peaks of spectra, and a relative rounding error.
+    """Returns the poles that determine the peaks of the spectra, and the rounding error of the slowest pole.
 
-    These are the poles of the sampled loop and of the frequency weighting. Both repeat at multiples of the sample rate.
+    These are the poles of the sampled loop and of the frequency weighting. All these poles repeat at multiples of the sample
+    rate.
 
     Args:
         vehicle: the vehicle.

@@ -40,7 +40,7 @@ from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
-NEARLY = 0.01  # relative difference between the durations of a run and of its road above which a remark is printed
+NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by more than this share
 NO_ANGLE = 1e-9  # deg, largest rounding error of angles that symmetry keeps at zero
 
 
@@ -75,8 +75,8 @@ class MetricComparison:
 
     Attributes:
         unit: SI unit.
-        mujoco: value in MuJoCo; None if the run broke off.
-        sampled: value in the exact sampled response over the same road; None if the run broke off.
+        mujoco: value in MuJoCo; None if the run was aborted.
+        sampled: value in the exact sampled response over the same road; None if the run was aborted.
         expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
             linear and stable, or the metric has no known expected value.
         spread: standard deviation of the expected value from road to road; None if it is unknown.
@@ -112,11 +112,11 @@ class RunMetrics(ShownResult):
 
     Attributes:
         metrics: metrics by name.
-        settled: transient that remains when the measurement begins; None for roads without a spectrum, unstable loops, and laws
-            in Python.
-        error: largest relative error of the integrals of expected values; None without expected values.
-        line: linear vehicle from which the expected values follow; None without expected values.
-        static: angles of the body in equilibrium of the linear loop under the final loads [deg], by name. None without loads;
+        settled: transient that remains when the measurement begins; None for roads without a spectrum, for unstable loops, and
+            for laws in Python.
+        error: largest relative error of the integrals for expected values; None if there are no expected values.
+        line: linear vehicle from which the expected values are computed; None if there are no expected values.
+        static: angles of the body in equilibrium of the linear loop under the final loads [deg], by name. None if no loads act;
             empty if the loop is unstable or the law is nonlinear.
     """
 
@@ -142,11 +142,11 @@ def measured_samples(
 ) -> tuple[int, int | None]:
     """Returns the index of the first measured sample, and the index after the last measured one (None for the end of the run).
 
-    - On a random road, the measurement begins when the transient has decayed, but at half of the run at the latest. The
+    - On a random road, the measurement begins when the transient has decayed, or at half of the run if this is earlier. The
       transient of a law in Python is unknown, so its measurement begins at half of the run.
-    - Over a single obstacle, the measurement covers the passage, and is the same for all controllers. The measurement begins
-      when the first wheel reaches the obstacle. The measurement ends when the passive vehicle would have settled after its last
-      wheel has left the obstacle.
+    - Over a single obstacle, the measurement covers the time in which the vehicle crosses the obstacle, and is the same for all
+      controllers. The measurement begins when the first wheel reaches the obstacle. The measurement ends when the passive vehicle
+      would have settled after its last wheel has left the obstacle.
     - On other roads, and with loads, the whole run is measured.
 
     Args:
@@ -339,7 +339,7 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
 
 
 def broken_off_sentence(run: Run) -> list[str]:
-    """Returns a sentence with the reason if a run broke off; otherwise an empty list."""
+    """Returns a list with one sentence that states why a run was aborted; otherwise an empty list."""
     if run.broke_off is None:
         return []
     end, at = run.broke_off

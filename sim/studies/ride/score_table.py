@@ -60,7 +60,7 @@ ROW = Record[Score](
 
 
 def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
-    """Returns the table as a JSON object in SI units, with the best controllers of each column."""
+    """Returns the table as a JSON object in SI units, with the best controllers for each column."""
     return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
 
 
@@ -103,7 +103,7 @@ def score_lines(scores: Sequence[Score], about: str) -> list[str]:
 
 
 def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
-    """Returns the column of a quantity in which the controllers with these names are marked as best."""
+    """Returns the column of a quantity. The controllers with these names are marked as the best ones."""
     return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
 
 
@@ -121,7 +121,7 @@ def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score
 
 
 def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
-    """Returns the columns of a quantity: first that of the vehicle, then those of further points if the vehicle has a person.
+    """Returns the columns of a quantity: the column of the vehicle and, if it has a person, columns of further points.
 
     More than `MOST_POINTS` further points share one column, which contains the largest value.
     """

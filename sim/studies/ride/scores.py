@@ -1,4 +1,4 @@
-"""Scores of controllers for a comparison: ride, travel, tyre load and force, and the best controller in each.
+"""Scores of controllers for a comparison: ride, travel, tyre load and force, and the best controller for each quantity.
 
 If a vehicle has several wheels, suspensions or actuators, each value is that of the worst wheel, suspension or actuator.
 """
@@ -32,12 +32,12 @@ class Score:
 
     Attributes:
         controller: name of the controller.
-        values: values by key of `FIELDS`, in SI units; None if the vehicle does not have this metric or the run broke off.
+        values: values by key of `FIELDS`, in SI units; None if the vehicle does not have this metric or the run was aborted.
         fault: reason why the controller is never marked as best, see `law_fault`; empty for a controller without a fault.
         vehicle: name of the vehicle, if several are compared; otherwise empty.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
         strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
-            stroke. A side without a stop is omitted. Empty if there are no stops or no run.
+            stroke. A side without a stop is omitted. It is empty if there are no stops or no run.
     """
 
     controller: str
@@ -106,7 +106,7 @@ def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
     Args:
         vehicle: the vehicle.
         controller: name of the controller.
-        metrics: values by name of the metric; empty for a run that broke off, whose score has only None.
+        metrics: values by name of the metric; empty for an aborted run, whose score contains only None.
     """
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
     largest = {
@@ -156,7 +156,7 @@ def scores_of_runs(
 ) -> list[Score]:
     """Returns the scores of runs.
 
-    The passive vehicle comes first. A run that omits a part of the vehicle follows the run with the whole vehicle.
+    The passive vehicle comes first. A run that omits a part of the vehicle comes after the run with the whole vehicle.
 
     Args:
         runs: runs of the controllers over the same road.

@@ -1,24 +1,25 @@
-"""Statistical linearisation: the straight line that best approximates a nonlinear force on a random road, and its remainder.
+"""Statistical linearisation: the straight line that best approximates a nonlinear force on a random road, and the remainder.
 
 The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the line.
 
-The remainder is the difference between curve and line, which is included to second order. The remainder acts as noise, which
-also contains lower frequencies than the road. This noise mainly excites a slow mode of the controlled vehicle; without the
+The remainder is the difference between curve and line. It is included to second order. The remainder acts as a noise force, which
+also contains frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle; without the
 remainder, travel would be about 5 % too small.
 
-For a Gaussian signal x = m + s z, a curve is a sum of Hermite polynomials of z,
+For a Gaussian signal x = m + s z with mean m and standard deviation s, a curve F is a sum of Hermite polynomials of z,
 
     F(x) = E F + s E F' z + e,    e = sum over n >= 2 of c_n He_n(z),    n! c_n = s sum over knots of d_i phi(a_i)
     He_{n-2}(a_i),
 
 where d_i is the change of the slope at a knot, and a_i is the position of this knot minus m, divided by s. Plain statistical
-linearisation neglects e. With the correlation rho_ij of x_i and x_j, the covariance of e is (F. G. Mehler's formula)
+linearisation neglects the remainder e. If rho_ij is the correlation of x_i and x_j, the covariance of e is (F. G. Mehler's
+formula)
 
     D_ij(tau) = E e_i(t + tau) e_j(t) = sum of c_in c_jn n! rho_ij(tau)^n.
 
 The even terms of this covariance have a spectrum down to frequency 0, where the road has no power and a slow loop responds
-most. The slopes of the curves are correlated with e, which affects the motion due to e. With the impulse response R_ij(tau) of
-x_i to a force in j, to second order in e,
+most. The slopes of the curves are correlated with e, which affects the motion due to e. If R_ij(tau) is the impulse response of
+x_i to a force at j, then to second order in e,
 
     F(x) = <F> + s E F' z + sum over j of (Sigma_ij * x_j) + noise of covariance D,
     Sigma_ij(tau) = R_ij(tau) sum over n >= 2 of n^2 (n - 1)! c_in c_jn / (s_i s_j) rho_ij(tau)^(n-1),
@@ -26,12 +27,12 @@ x_i to a force in j, to second order in e,
 
 where s, rho and R are those of the resulting vehicle (the direct interaction approximation: R. H. Kraichnan (1959), J. Fluid
 Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma is a
-frequency-dependent slope between signals. The noise is a source in addition to the road. The mean force changes.
+frequency-dependent slope between signals. The noise is a source in addition to the road. The mean force <F_i> also changes.
 
-Degrees 2 to 4 are included. Higher degrees have frequencies that no suspension amplifies. For sharp bends, for example due to
+Degrees 2 to 4 are included. Higher degrees excite frequencies that no suspension amplifies. For sharp bends, for example due to
 friction, the second order of higher degrees is too large. With all degrees, the error of ride would grow by 0.3 %, and no error
-would decrease. If e has a larger share of the variance of a force than `SHARP`, accelerations are computed from the line alone,
-with an error up to 3 %. With the remainder, accelerations would be up to 13 % too small. Slow signals include the remainder,
+would decrease. If e has a larger share than `SHARP` in the variance of a force, accelerations are computed from the line alone,
+with an error of up to 3 %. With the remainder, accelerations would be up to 13 % too small. Slow signals include the remainder,
 without which travel would be up to 25 % too small.
 """
 
@@ -65,9 +66,9 @@ ABOVE = 6.0  # upper end of the frequencies for a faster vehicle, relative to th
 MEMORY_CONSISTENT = 1e-6  # relative change at which the iteration ends
 MEMORY_DIRECT = 10  # number of iterations with full steps
 MEMORY_ROUNDS = 100  # largest number of iterations
-SHARP = 0.04  # share of the remainder in the variance of a force, above which a curve is sharp, for example due to friction
+SHARP = 0.04  # share of the remainder in the variance of a force above which a curve counts as sharp, for example due to friction
 GAUSS = np.polynomial.hermite_e.hermegauss(200)  # nodes and weights for averages over a Gaussian variable
-LOWEST = 1e-3  # lowest frequency of the noise, relative to the lowest frequency of the road
+LOWEST = 1e-3  # lowest frequency of the remainder's noise, relative to the lowest frequency of the road
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ class Remainder:
         omega: frequencies [rad/s], ascending from 0, shape (F,).
         memory: transfer matrix from the arguments to the forces, without the lines, shape (F, e, e).
         noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
-        mean_force: mean forces without those of the lines [N], shape (e,).
+        mean_force: mean forces of the remainders, without the mean forces of the lines [N], shape (e,).
         share: largest share of the remainder in the variance of a force.
     """
 
@@ -136,7 +137,7 @@ def remainder(
     means: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
-    """Returns the self-consistent remainders of curves over a road; None if the iteration does not converge.
+    """Returns the remainders of curves on a road, found by iteration; None if the iteration does not converge.
 
     Args:
         line: lines that replace e curves.
@@ -146,7 +147,7 @@ def remainder(
         fastest: frequency of the fastest oscillation of the loop [rad/s].
         index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
         means: initial means of the arguments, shape (e,).
-        resting: function that returns the means of the arguments for mean forces of the remainders, shape (e,) both.
+        resting: function from the mean forces of the remainders, shape (e,), to the means of the arguments, shape (e,).
     """
     vehicle, lines = line.vehicle, line.slopes
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
@@ -184,7 +185,7 @@ def remainder(
             each = zip(line.curves, means, deviations, moments, strict=True)
             share = max(_share_beyond(curve, m, s, slope) for curve, m, s, (_, slope) in each)
             return Remainder(line.deflections, index, omega, transfer, new_noise, beyond, share)
-        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
+        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # full steps would overshoot if a controller nearly cancels a spring
         memory, noise, means = (
             memory + step * (transfer - memory),
             noise + step * (new_noise - noise),
@@ -219,7 +220,7 @@ def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tup
 
     Args:
         rho: correlations at T times, shape (T, e, e).
-        answer: impulse responses R, shape (T, e, e).
+        answer: impulse responses R at these times, shape (T, e, e).
         c: Hermite coefficients of each curve, shape (e, number of degrees).
         deviations: standard deviations of the arguments, shape (e,).
 
@@ -332,7 +333,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
 
 
 def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
-    """Returns the slope of a part at equilibrium, relative to the travel of the part [N s/m or N/m]."""
+    """Returns the slope of a part's force at equilibrium, with respect to the deflection of the part itself [N s/m or N/m]."""
     if one.parameter:
         return vehicle.parameters[one.parameter]
     line = next(each.part.line for each in vehicle.elements if each.name == one.element)

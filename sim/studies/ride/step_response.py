@@ -1,8 +1,8 @@
 """Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of the absolute error.
 
-The final value of a height is the height of the step. The final value of any other signal is zero. With a law for study that
-measures heights, a force can remain, so all signals except velocities and accelerations can have other final values. The error
-is the distance from the final value. Time starts when the first wheel reaches the step.
+The final value of a height is the height of the step. The final value of any other signal is zero. If a law with `study = true`
+measures heights, a constant force can remain. All signals except velocities and accelerations can then have other final values.
+The error is the distance from the final value. Time starts when the first wheel reaches the step.
 """
 
 import math
@@ -37,15 +37,14 @@ class StepMetrics:
     """Metrics of the step response of one signal.
 
     Attributes:
-        peak: largest value in the direction of the final value; if the final value is zero, the value with the largest
-            magnitude.
+        peak: largest value in the direction of the final value. If the final value is zero: value with the largest magnitude.
         peak_time: time of the peak [s].
         overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero: largest
             value of the opposite sign after the peak, relative to the peak.
         settling_time: time from which the error stays within the band until the end of the run [s]; None if it does not.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error never leaves the band.
         iae: integral of the absolute error over the run [unit of the signal times s].
-        itae: integral of time multiplied by the absolute error [unit of the signal times s2].
+        itae: integral of the time multiplied by the absolute error [unit of the signal times s2].
     """
 
     peak: float
@@ -75,7 +74,7 @@ class SignalSteps:
         unit: SI unit of the signal.
         final: final value of the signal.
         half_band: half width of the band, in the unit of the signal.
-        mujoco: metrics in MuJoCo, interpolated between samples; None if the run broke off.
+        mujoco: metrics in MuJoCo, interpolated between samples; None if the run was aborted.
         sampled: metrics of the exact sampled response, interpolated between samples.
         continuous: metrics of the continuous linear response, exact between samples; None with semi-active dampers.
     """
@@ -143,8 +142,8 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 
     Args:
         run: run over a `Step`.
-        percent: half width of the band [%], relative to the final value. If the final value is zero, the width is relative to
-            the peak of the continuous response, or of the sampled response without a continuous one.
+        percent: half width of the band [%], relative to the final value. If the final value is zero, the width is relative to the
+            peak of the continuous response, or of the sampled response if there is no continuous one.
         continuous: signals of the continuous response, exact between samples, if they are known.
 
     Raises:

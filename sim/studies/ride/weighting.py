@@ -1,12 +1,12 @@
 """The frequency weighting W_k of ISO 2631-1, continuous and sampled, and its recursive filters.
 
-The constants of the transfer function H(s) are in `models/laws/filter.py`. Designs can use the same weighting.
+The constants of the transfer function H(s) are in `models/laws/filter.py`. Controller designs can use the same weighting.
 
-The sampled filter is exactly H with a first-order hold: parallel recursions of second order, one for each pair of poles. The
-hold attenuates high frequencies by the factor d / (omega h)^2 with d = 2 - 2 cos(omega h) and the timestep h. A filter with
-seven taps compensates this attenuation: 1 + d/12 + d^2/90 + d^3/560, from the series of the squared arcsine. The remaining
-relative error is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms and 1e-4 for 2 ms. For 5 ms, the error
-is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
+The sampled filter is exactly H with a first-order hold. It consists of parallel second-order recursions, one for each pair of
+poles. The hold attenuates high frequencies by the factor d / (omega h)^2 with d = 2 - 2 cos(omega h) and the timestep h. A filter
+with seven taps compensates for this attenuation: 1 + d/12 + d^2/90 + d^3/560, from the series of the squared arcsine. The
+remaining relative error is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms and 1e-4 for 2 ms. For 5 ms,
+the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
-FEW, MANY = 4, 64  # up to FEW signals, Python numbers are fastest; up to MANY, NumPy arrays; SciPy takes half a second to import
+# Python numbers are fastest for up to FEW signals, NumPy arrays for up to MANY; SciPy takes half a second to import
+FEW, MANY = 4, 64
 ORDER = 2  # order of the denominators
 
 
@@ -55,7 +56,7 @@ def _recursion(b: Array, a: Array, signal: Array, memory: Array, numbers: Callab
     """Returns the filtered signal and the states after its last sample; time and states are the first axes.
 
     The recursion is a transposed direct form that adds in the same order as SciPy. The first samples depend on the given
-    states. For later samples, the taps of the numerator beyond the order of the denominator are sums of shifted signals.
+    states. For later samples, the numerator taps beyond the order of the denominator are added as shifted signals.
 
     Args:
         b, a: numerator and denominator by powers of 1/z.
@@ -102,7 +103,7 @@ for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):
     for _ in range(power):
         taps = np.convolve(taps, DIFFERENCE)
     RESTORE[LATE - power : LATE + 1 + power] += share * taps
-POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality of each pair
+POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality factor of each pair of poles
 
 
 def wk(omega: Array) -> Array:

@@ -25,7 +25,7 @@ RECORDED_TIME = 4.0  # s, duration of a recorded run
 
 
 class MarginsStudy(Study["list[StabilityMargins]"]):
-    """Study of the stability margins of one controller (command) or of all active controllers (report)."""
+    """Study of stability margins, of one controller in the command and of all active controllers in the report."""
 
     description = "Find the margins of a control loop for gain, phase, delay and sample period."
     epilog = """

@@ -1,10 +1,10 @@
-"""Slowest mode of a loop whose forces are delayed by many samples, without computing the eigenvalues of all pending forces.
+"""Slowest mode of a loop whose forces are delayed by many samples, computed without the eigenvalues of all pending forces.
 
-The state of a loop with delay contains d pending forces for a delay of d samples. The eigenvalues of the map from one sample to
-the next have almost equal magnitudes, so an iteration cannot separate the largest from the others. This module uses the d-th
-power of the map, from one state to that after a whole delay. Its eigenvalues are well separated, because decaying modes have
-nearly vanished after one delay. A few dozen applications of this power therefore suffice (Arnoldi's method; Lehoucq, Sorensen,
-Yang 1998, ARPACK Users' Guide).
+If the delay is d samples, the state of the loop contains d pending forces. The eigenvalues of the map from one sample to the next
+have almost equal magnitudes, so an iteration cannot separate the largest eigenvalue from the others. This module uses the d-th
+power of the map, which leads from one state to the state after a whole delay. The eigenvalues of this power are well separated,
+because decaying modes have nearly vanished after one delay. A few dozen applications of this power therefore suffice (Arnoldi's
+method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.sparse.linalg import LinearOperator, eigs
 from models.common.arrays import Array
 from synth.plant.state_space import StateSpace
 
-FEW = 60  # number of states and pending forces up to which it is faster to compute all eigenvalues
+FEW = 60  # largest number of states and pending forces for which it is faster to compute all eigenvalues
 LARGEST = 4  # number of computed eigenvalues: two pairs, because two loops of a symmetric vehicle can be equal
 
 
@@ -51,10 +51,10 @@ def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
     moved[0] = np.eye(n)
     for k in range(delay):
         moved[k + 1] = moved[k] @ Phi
-    seen = G @ moved[:-1]  # requested force per state k samples earlier, shape (delay, m, n)
-    pushed = moved[-2::-1] @ Gamma  # state at the end per force in step k, shape (delay, n, m)
+    seen = G @ moved[:-1]  # requested force per unit of the state k samples earlier, shape (delay, m, n)
+    pushed = moved[-2::-1] @ Gamma  # state at the end per unit of force in step k, shape (delay, n, m)
     length = 2 ** (2 * delay - 1).bit_length()  # long enough that the convolution does not wrap around
-    # Requested force per force that acted k samples earlier.
+    # Requested force per unit of the force that acted k samples earlier.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
 
     def after(state: Array) -> Array:

@@ -1,8 +1,8 @@
 """Search for a stability limit in MuJoCo: the smallest gain factor, delay or sample period (the *amount*) that is unstable.
 
-The derivative of MuJoCo's step decides whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit: one
-decays, one grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible immediately. The duration
-of a run depends on the rate of this mode.
+The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit: one run
+decays, and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible immediately. The
+duration of a run depends on the rate of this mode.
 """
 
 import math
@@ -24,9 +24,10 @@ from synth.plant.state_space import StateSpace
 WIDTH = 2e-3  # relative width of the interval between stable and unstable amounts at which a search ends
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # amounts to try, relative to the expected limit
 CHANGE = 0.1  # relative change of a mode after which a run may end
-# Shortest run, longest run, and longest run of a slow mode [s]. A run is longer if its delay requires it.
+# Durations of the shortest run, of the longest run, and of the longest run of a slow mode [s]. A run is longer if its delay
+# requires it.
 SHORTEST, LONGEST, SLOW = 0.05, 0.15, 4.0
-CLEAR = 1e-5  # smallest relative change of a mode over its run that is not due to geometry or rounding
+CLEAR = 1e-5  # smallest relative change of a mode over a run that cannot be due to geometry or rounding
 SLOWEST = 8.0  # s; MuJoCo does not simulate longer delays and sample periods
 
 
@@ -39,11 +40,11 @@ class StabilityEdge:
     """Search for the smallest gain factor, delay or sample period (the amount) that makes a loop unstable.
 
     Attributes:
-        step: derivative of MuJoCo's step.
-        trial: function that returns the loop with an amount.
+        step: derivative of MuJoCo's step, see `step_derivative`.
+        trial: function that returns the loop for an amount.
         expected: predicted limit, where the search starts; infinite if every amount is predicted to be stable.
         most: largest amount to try if `expected` is infinite.
-        multiple: step of the amounts, which are its integer multiples; 0 if amounts are real numbers.
+        multiple: step of the amounts, if only its integer multiples are allowed; 0 if amounts are real numbers.
         stable: largest stable amount below `unstable`. An amount of zero is assumed to be stable.
         unstable: smallest unstable amount; infinite if all tried amounts are stable.
         searched: True after the search.
@@ -74,7 +75,7 @@ class StabilityEdge:
 
     @property
     def confirmed(self) -> bool:
-        """False if a run contradicts the derivative of MuJoCo's step: one grows while the other decays."""
+        """False if a run grows although the derivative of MuJoCo's step predicts decay, or the reverse."""
         return not any(not math.isnan(rate) and (rate > 0) != (amount == self.unstable) for amount, rate in self.runs.items())
 
     @property
@@ -99,9 +100,10 @@ class StabilityEdge:
 
 
 def smallest_unstable(grows: Callable[[float], bool], expected: float, most: float, multiple: float = 0.0) -> tuple[float, float]:
-    """Returns the two ends of the interval that contains the stability limit: a stable amount and an unstable one.
+    """Returns the two ends of an interval that contains the stability limit: a stable amount and an unstable amount.
 
-    The search first tries both sides of the expected limit. If this fails, the search begins at the smallest amount.
+    The search first tries both sides of the expected limit. If these do not enclose the limit, the search begins at the smallest
+    amount.
 
     Args:
         grows: function that returns True if an amount is unstable.
@@ -184,7 +186,7 @@ def _without_rate_limit(vehicle: Vehicle) -> Vehicle:
 
 
 def _duration(loop: SimulatedLoop) -> float:
-    """Returns the duration of a run [s]: the mode must change clearly, and all pending forces must act."""
+    """Returns a duration [s] for a run in which the mode changes clearly and all pending forces act."""
     rate = max(abs(loop.rate), CLEAR / SLOW)
     needed = min(max(CHANGE / rate, SHORTEST), max(LONGEST, min(20 * CLEAR / rate, SLOW)))
     return max(math.ceil(needed / loop.loop.period), loop.delay + 2) * loop.loop.period

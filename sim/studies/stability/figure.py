@@ -1,4 +1,4 @@
-"""Figure of stability margins: growth rate of the slowest mode over gain factor, delay and sample period."""
+"""Figure of stability margins: growth rate of the slowest mode as a function of gain factor, delay and sample period."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,8 +31,8 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 def margins_figure(found: StabilityMargins) -> Figure:
     """Returns a figure of the growth rate of the slowest mode.
 
-    Lines follow from the poles of the sampled linear loop, and points from the derivative of MuJoCo's step. The margin is where
-    the growth rate is zero.
+    Lines are computed from the poles of the sampled linear loop, and points from the derivative of MuJoCo's step. The margin is
+    where the growth rate is zero.
     """
     controller, vehicle, loop, built = found.controller, found.vehicle, found.loops[""], found.implemented_loops.get("")
     timestep = loop.timestep
@@ -80,7 +80,7 @@ def _both(field: Field[float], predicted: float, found: float) -> str:
 
 
 def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[LoopCase], float], scale: float) -> Panel:
-    """Returns a panel of the growth rate over the amount, as a predicted line and as points from MuJoCo.
+    """Returns a panel that shows the growth rate over the amount, as a predicted line and as points from MuJoCo.
 
     The points include the two amounts between which MuJoCo's growth rate changes its sign.
 
@@ -91,7 +91,7 @@ def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[
         rate: function that returns the predicted growth rate of a loop [1/s].
         scale: factor from SI units to the unit of the label.
     """
-    # The panel ends soon after the margin, because growth rates further away are large and of no interest.
+    # The panel ends soon after the margin, because larger growth rates are of no interest.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable
     known = [amount for amount in (search.stable, search.unstable) if 0 < amount < math.inf]
     amounts, points = (_multiples([*np.linspace(0.0, end, count), *known], search.multiple) for count in (POINTS, MEASURED))

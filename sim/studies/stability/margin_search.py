@@ -28,10 +28,11 @@ from synth.plant.state_space import StateSpace
 
 BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # road of recorded runs: short, and too low to lift a wheel
 LONGEST = 2.0  # s; longest delay and sample period to try if linear analysis predicts no limit
-AGREES = 5e-3  # allowed relative difference of a gain margin; a search has an error of 0.2 %, an extrapolation of 0.3 %
-ENDS = 1.5e-3  # relative error of a gain margin found by a search, from which the error of an extrapolation follows
+AGREES = 5e-3  # allowed relative difference of a gain margin; the error of a search is 0.2 %, that of an extrapolation 0.3 %
+ENDS = 1.5e-3  # relative error of a gain margin found by a search; it determines the error of an extrapolation
 HALVINGS = 9  # largest number of halvings of the timestep; runs at smaller steps take minutes
-WITHOUT_END = 1.5  # factor of a margin per halving of the step, above which the margin tends to infinity as the step shrinks
+# If halving the step increases a margin by more than this factor, the margin tends to infinity as the step shrinks
+WITHOUT_END = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +40,14 @@ class GainMargin:
     """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if every factor is stable.
 
     MuJoCo holds the force over a timestep, so it simulates a sampled loop. For small steps, the margin of the sampled loop
-    approaches that of the continuous loop with an error proportional to the timestep. If the margins at the given timestep
-    differ, MuJoCo's margins at two smaller steps, h and h/2, are extrapolated to a step of 0. `at_prediction` chooses h.
+    approaches that of the continuous loop with an error proportional to the timestep. If these margins differ at the given
+    timestep, MuJoCo's margins at two smaller steps, h and h/2, are extrapolated to a step of 0. `at_prediction` chooses h.
 
     Attributes:
         own: predicted margin of the continuous loop.
         sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
         search: search for the margin at the given timestep.
-        finer: search at half the timestep, or at a smaller step, which runs only if it is needed.
+        finer: search at half the timestep or less, which runs only if it is needed.
         coarser: search at twice the step of `finer`; None if this is `search`.
     """
 
@@ -68,7 +69,7 @@ class GainMargin:
     ) -> "GainMargin":
         """Prepares the searches for a margin at the given timestep and at smaller steps, without running them.
 
-        The smaller steps are chosen such that the margins at the last two extrapolate to the margin of the continuous loop.
+        The smaller steps are chosen such that the extrapolation from the last two steps gives the margin of the continuous loop.
 
         Args:
             own: predicted margin of the continuous loop.
@@ -108,7 +109,7 @@ class GainMargin:
 
     @staticmethod
     def shown_by(own: float, coarse: float, fine: float) -> bool:
-        """Returns True if the margins of the sampled loop at two steps extrapolate to the margin of the continuous loop.
+        """Returns True if extrapolating the sampled loop's margins at two steps gives the margin of the continuous loop.
 
         Args:
             own: margin of the continuous loop.
@@ -143,9 +144,10 @@ class GainMargin:
 
     @property
     def agrees(self) -> bool:
-        """True if MuJoCo has the predicted margin of the sampled loop at each timestep, and that of the continuous loop.
+        """True if MuJoCo confirms the predicted margin of the sampled loop at each timestep, and of the continuous loop.
 
-        The error of an extrapolation is of second order in the timestep: less than half of the change between the two steps.
+        The error of an extrapolation is of second order in the timestep. It is less than half of the change between the two
+        steps.
         """
         here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         coarse, fine = (one.found for one in self.searches[-2:])
@@ -160,13 +162,13 @@ class LoopMargins:
     Attributes:
         predicted: margins from the loop transfer function.
         gain: largest stable gain factor.
-        gain_lower: smallest stable gain factor, as its inverse.
-        delay: search for the smallest unstable delay; for an implemented loop, in addition to its own delay.
+        gain_lower: inverse of the smallest stable gain factor.
+        delay: search for the smallest unstable delay; for an implemented loop, this is in addition to the delay of the loop.
         sample_period: search for the smallest unstable sample period; not run for an implemented loop.
         timestep: timestep of the simulation [s].
         predicted_delay: smallest unstable delay of the linear loop [s].
-        late_grows, slow_grows: functions that return True if the linear loop is unstable with a delay or a sample period [s],
-            which is a multiple of the timestep.
+        late_grows, slow_grows: functions that return True if the linear loop is unstable with a delay (`late_grows`) or a sample
+            period (`slow_grows`) [s], each a multiple of the timestep.
     """
 
     predicted: Margins
@@ -186,7 +188,7 @@ class LoopMargins:
 
     @property
     def found_sample_period(self) -> float:
-        """Longest stable sample period below the first unstable one [s]; infinite if all are stable, NaN if undecided."""
+        """Longest stable sample period below the first unstable one [s]; infinite if all are stable, NaN if it is unknown."""
         edge = self.sample_period
         return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
 
@@ -197,7 +199,7 @@ class LoopMargins:
 
     @property
     def found_phase(self) -> float:
-        """Phase lag of the found delay at the crossover frequency [rad]."""
+        """Phase lag at the crossover frequency that the found delay causes [rad]."""
         return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property
@@ -218,8 +220,6 @@ class LoopMargins:
 
 def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> bool:
     """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same limit as MuJoCo.
-
-    In this case, the predicted unstable interval is shorter than a timestep, so both searches miss this interval.
 
     Args:
         edge: finished search.
@@ -253,8 +253,8 @@ def find_margins(
         progress: callback that receives a line about the progress.
 
     Returns:
-        Margins by name of the loop. The name "" is the loop that is cut at all actuators. For several actuators, the name of a
-        force is the loop that is cut at this force while the other loops are closed.
+        Margins by name of the loop. The name "" is the loop that is cut at all actuators. For several actuators, each name of a
+        force is the loop that is cut at this force while the loops of the other forces are closed.
 
     Raises:
         InputError: the controller belongs to another vehicle, or the timestep is invalid.
@@ -293,7 +293,7 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """Returns the predicted margins of a loop, and the prepared searches for these margins in MuJoCo.
+    """Returns the predicted margins of a loop, with prepared searches for these margins in MuJoCo.
 
     Args:
         vehicle: vehicle without sample period, delay and noise.
@@ -321,7 +321,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         cut = loop_of(prompt, controller, timestep).cut(forces)
         return abs(slowest_from_sample_to_sample(cut, round(delay / timestep))) > 1
 
-    late = max(predicted.delay - timestep / 2, timestep)  # the hold of the force acts as a delay of half a sample
+    late = max(predicted.delay - timestep / 2, timestep)  # holding the force acts like a delay of half a sample
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
     return LoopMargins(
         predicted,
@@ -336,7 +336,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
 
 
 def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
-    """As `searches`, for the loop with the sample period and the delay of the vehicle file.
+    """Like `searches`, but for the loop with the sample period and the delay of the vehicle file.
 
     The search for the delay runs only if the loop is cut at all actuators.
 
@@ -401,7 +401,7 @@ def _gain_margins(
         return LoopCase(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
-        # An amount is a factor above 1, which multiplies the gain (power 1) or divides the gain (power -1).
+        # An amount is a factor above 1. It multiplies the gain (power 1) or divides the gain (power -1).
         def amount(step: float, k: int = power) -> float:
             return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
 

@@ -41,9 +41,9 @@ class Row(NamedTuple):
         predicted: predicted value.
         found: value found in MuJoCo; NaN if it is only predicted or not decided.
         note: remark.
-        extrapolated: True if `found` is extrapolated to a timestep of 0.
+        extrapolated: True if `found` results from an extrapolation to a timestep of 0.
         extra: True to omit the row in comparisons of controllers.
-        usual: predicted value in dB or degrees; None if it does not have one.
+        usual: predicted value in dB or degrees; None for a margin without such a unit.
     """
 
     margin: str
@@ -130,7 +130,7 @@ LOOP = Record[LoopMargins](
 
 
 def _loop(found: StabilityMargins, name: str) -> dict[str, Any]:
-    """Returns the JSON object of a loop. If an implemented loop exists, its gain, phase and disk margins come first."""
+    """Returns the JSON object of a loop. If there is an implemented loop, its gain, phase and disk margins come first."""
     ideal, *built = (LOOP(of[name]) for of in (found.loops, found.implemented_loops) if name in of)
     first = [{key: one[key] for key in IMPLEMENTED_MARGINS} for one in (*built, ideal)]
     return {**ideal, **first[0], "ideal": first[1]} if built else ideal
@@ -208,7 +208,7 @@ def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
 
 
 def loop_texts(vehicle: Vehicle) -> list[str]:
-    """Returns sentences about the loop of the margins: actuator lag, delay, noise, dampers and linearised characteristics."""
+    """Returns sentences that define the loop: actuator lag, delay, noise, dampers and linearised characteristics."""
     texts, how = [], vehicle.implementation
     if not vehicle.ideal or vehicle.dampers:
         lag = "has no actuator lag" if vehicle.limits.actuator_bandwidth is None else "includes the lag of its actuators"
@@ -243,7 +243,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     Args:
         found: margins of the controller.
         one: margins of the loop.
-        of: text after the names of those margins that the implemented loop has as well, such as ", ideal loop".
+        of: text such as ", ideal loop", which follows the name of a margin if the implemented loop has the same margin.
     """
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower, high = predicted.gain_lower or one.found_gain_lower, predicted.gain
@@ -298,7 +298,7 @@ def _values(margin: Sequence[Field[LoopMargins]], one: LoopMargins) -> tuple[flo
 
 
 def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
-    """Returns a row for the margin of the sampled loop at each timestep, if finer searches ran.
+    """Returns a row with the margin of the sampled loop for each timestep, if finer searches ran.
 
     Args:
         gain: gain margin.
@@ -316,7 +316,7 @@ def _join_notes(*texts: str) -> str:
 
 
 def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
-    """Returns the note about a delay or sample period, with the reason if the runs are not decisive.
+    """Returns the note on a delay or a sample period, with the reason if the runs are not decisive.
 
     Args:
         edge: finished search.

@@ -23,7 +23,7 @@ from synth.plant.state_space import StateSpace
 
 STANDS = 1e-6  # 1/s; a smaller growth rate counts as 0, because the error of the finite differences is a tenth of this rate
 SMALL = 1e-6  # m or rad; largest coordinate of the initial state of a run
-FREE = 1e-2  # largest force in such a run, relative to the force limit
+FREE = 1e-2  # largest force in a run that starts in the slowest mode, relative to the force limit
 ACTING_STATE = "acting_{}"  # names of the states that contain acting forces
 
 
@@ -34,7 +34,7 @@ class LoopCase:
     Attributes:
         vehicle: vehicle with sample period and delay of the controller.
         controller: the controller.
-        undelayed_controller: second controller, whose forces act at every timestep without delay; None without it.
+        undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is none.
     """
 
     vehicle: Vehicle
@@ -46,13 +46,13 @@ class LoopCase:
 class SimulatedLoop:
     """Discrete model of a loop. The delay consists of an integer number of samples and a remaining fraction of a sample.
 
-    The states of `loop` are those of `_held_forces` and those of the law. If the delay has a fraction of a sample, the force
-    that acts at the start of a sample is also a state.
+    The states of `loop` are the states of `_held_forces` followed by the states of the law. If the delay contains a fraction of a
+    sample, the force that acts at the start of a sample is also a state.
 
     Attributes:
-        loop: loop with only the fraction of a sample as delay.
+        loop: loop whose delay is only the remaining fraction of a sample.
         delay: integer number of samples of delay.
-        lagging: number of states that are forces of actuators with lag.
+        lagging: number of states that are forces of actuators with a lag.
     """
 
     loop: Loop
@@ -77,7 +77,7 @@ class SimulatedLoop:
 
     @property
     def rate(self) -> float:
-        """Growth rate of the slowest mode [1/s], positive if it grows; NaN if the eigenvalue iteration does not converge."""
+        """Growth rate of the slowest mode [1/s], positive if the mode grows; NaN if no eigenvalue is found."""
         try:
             return math.log(max(abs(self._over_delay), 1e-300)) / max(self.delay, 1) / self.loop.period
         except ArpackError:
@@ -126,7 +126,7 @@ def _held_forces(step: StateSpace, undelayed: Controller | None) -> StateSpace:
     """Returns the model of a step with held forces. Its state is [z; acting forces; states of the undelayed controller].
 
     Args:
-        step: derivative of MuJoCo's step, with the state z.
+        step: derivative of MuJoCo's step, whose state is z.
         undelayed: controller whose forces act without delay; None without such a controller.
     """
     n, m = step.B.shape

@@ -14,7 +14,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.sensor_readout import batch_of, prepared_readout, states_of_parts
 from synth.plant.state_space import StateSpace
 
-MOTION, FORCE = 1e-5, 1e-2  # steps of the finite differences: m or rad, and N; relative error 1e-9 due to nonlinear geometry
+MOTION, FORCE = 1e-5, 1e-2  # steps of the finite differences [m or rad; N]; nonlinear geometry causes a relative error of 1e-9
 SMOOTH = 1e-3  # allowed relative difference between forward and backward differences
 
 

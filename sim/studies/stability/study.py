@@ -1,4 +1,4 @@
-"""Margins of controllers, predicted and found in MuJoCo: the result from which text, JSON and figures are made."""
+"""Margins of controllers, predicted and found in MuJoCo: the result that is shown as text, JSON and figures."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ class StabilityMargins:
 
     @property
     def agrees(self) -> bool:
-        """True if MuJoCo has the predicted margins."""
+        """True if MuJoCo confirms the predicted margins."""
         return not self.wrong
 
 
@@ -48,7 +48,7 @@ def stability_margins(
     progress: Callable[[str], None] = no_progress,
     each_loop: bool = True,
 ) -> list[StabilityMargins]:
-    """Computes the margins of controllers for the vehicle in equilibrium, and finds them in MuJoCo.
+    """Computes the margins of controllers for the vehicle in equilibrium, and searches for the same margins in MuJoCo.
 
     Args:
         vehicle: the vehicle.

@@ -1,4 +1,4 @@
-"""The study of validity: a map of the bumps over which linear analysis is valid, with height, length or speed on its axes."""
+"""The study of validity: a map of the bumps over which linear analysis is valid; its axes are height, length or speed."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps in a rep
 
 
 class EnvelopeStudy(Study["Cells"]):
-    """Study that maps the validity of linear analysis for one controller (command) or for each active controller (report)."""
+    """Study that maps the validity of linear analysis: for one controller in the command, for each active one in the report."""
 
     description = "Map the bumps over which linear analysis is valid, and the limits that end it."
     epilog = """
@@ -128,7 +128,8 @@ examples:
     def runs(self, request: StudyRequest, result: "Cells") -> "dict[str, Run]":
         """Simulates some cells of the map, and returns the runs by name.
 
-        For each limit, the cell is the one that exceeds the limit least. A further cell comes closest to a limit from below.
+        For each limit, the simulated cell is the one that exceeds the limit least. One more cell is the closest to a limit from
+        below.
         """
         import numpy as np
 
@@ -196,7 +197,7 @@ class EndsStudy(Study["list[RegimeEnd | None]"]):
 
 
 def _map_of(request: StudyRequest) -> "tuple[list[Bump], Array, tuple[Load, ...]]":
-    """Returns the requested bumps, the sample times of each run [s], shape (T,), and the requested loads.
+    """Returns the requested bumps, the sample times of all runs [s], shape (T,), and the requested loads.
 
     Raises:
         InputError: an axis or a load is invalid, or an option also sets the quantity of an axis.

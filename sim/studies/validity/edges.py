@@ -87,7 +87,7 @@ def edge_document(cells: Cells) -> Document:
 
 
 def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
-    """Returns the two heights between which MuJoCo reaches a limit, and the name of the limit if it is not the predicted one."""
+    """Returns the two heights between which MuJoCo reaches a limit, and the name of a limit that was not predicted."""
     if one is None:
         return "-"
     if one["ended_at"] is None:
@@ -97,7 +97,7 @@ def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
 
 
 def travel_texts(cells: Cells) -> list[str]:
-    """Returns a sentence about the largest travel below all limits; empty if all suspensions have bump stops."""
+    """Returns a sentence about the largest travel at which no limit is reached; empty if all suspensions have bump stops."""
     suspensions = cells.vehicle.kind.suspensions
     whole = cells.travel[cells.predicted < 0]
     if not len(whole) or len(cells.vehicle.parts.strokes) == len(suspensions):

@@ -32,9 +32,9 @@ class MapRun:
         share: largest signal relative to its limit in `REGIME_ENDS`.
         first: first limit that was reached, as an index into `REGIME_ENDS`; -1 if no limit was reached.
         time: time at which this limit was reached [s]; infinite if no limit was reached.
-        broke_off: reason why the run broke off, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it did not.
+        broke_off: reason why the run was aborted, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it was not aborted.
         error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to its peak.
-        missing: rms of the force that semi-active dampers could not apply, relative to that of the requested force. The value
+        missing: rms of the force that semi-active dampers could not apply, relative to the rms of the requested force. The value
             is 0 if no force was requested, and NaN without semi-active dampers.
     """
 
@@ -47,7 +47,7 @@ class MapRun:
 
     @property
     def end(self) -> str:
-        """Name of the first limit that was reached, or the reason why the run broke off; empty otherwise."""
+        """Name of the first limit that was reached, or the reason why the run was aborted; empty otherwise."""
         return END_NAMES[self.first] if self.first >= 0 else self.broke_off
 
 
@@ -57,7 +57,7 @@ def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
 
 
 def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
-    """Returns the responses of one controller over N roads by analysis, values of shape (N, T, S).
+    """Returns the responses of one controller over N roads, computed by analysis; the values have the shape (N, T, S).
 
     The analysis includes nonlinear springs and dampers, and semi-active dampers.
     """
@@ -82,7 +82,7 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
     """Returns the largest value of a response relative to each limit in `REGIME_ENDS`, shape (..., E).
 
-    The entry for missing force of semi-active dampers is 0, because the analysis includes these dampers.
+    The entry for the missing force of semi-active dampers is 0, because the analysis includes these dampers.
     """
     used = utilisation(vehicle, response, controller.has_anti_windup)
     if not is_linear(controller, vehicle):
@@ -101,7 +101,8 @@ def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], 
 
     Args:
         vehicle: the vehicle.
-        runs: controller, road and number of samples of each run. A run may be longer, because runs of a batch are equally long.
+        runs: controller, road and number of samples of each run. A run may be longer than requested, because all runs of a batch
+            have the same length.
         time: sample times [s], shape (T,).
     """
     order = sorted(range(len(runs)), key=lambda i: runs[i][2])

@@ -1,7 +1,7 @@
 """Comparison of runs with a measured log: alignment in time by correlation, and the fit of each signal.
 
-The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, and 0 if the run has no motion. The signals
-are compared at the sample times of the run or of the log, whichever has the larger sample period.
+The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, and 0 if the run has no motion. The signals are
+compared at the sample times of the run or the log, whichever has the longer sample period.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,9 +22,10 @@ from sim.runs.result import RunResult
 
 LEAST_OVERLAP = 0.5  # smallest overlap of log and run for a correlation, relative to the shorter of the two
 MOST_SAMPLES = 2**21  # largest number of samples of log and run for the correlation
-WEAK = 0.5  # correlation below which a remark asks the user to check the start
-OFFSET = 0.1  # improvement of the fit by removing an offset above which a remark is printed
-# Correlation that suggests a wrong sign, and smallest ratio of the correlations with the opposite sign and with the given sign:
+WEAK = 0.5  # if the correlation is smaller, a remark asks the user to check the start
+OFFSET = 0.1  # a remark is printed if removing an offset improves the fit by more
+# A wrong sign is suggested if the correlation with the opposite sign is at least this large, and this many times larger than with
+# the given sign.
 OPPOSITE, CLEARLY = -0.5, 1.1
 
 
@@ -54,7 +55,7 @@ class SignalFit:
         return asdict(self)
 
 
-_Row = tuple[Signal, str, SignalFit]  # signal, name of the run, and their comparison
+_Row = tuple[Signal, str, SignalFit]  # signal, name of the run, and comparison of this signal in this run
 
 
 def _fit_of(row: _Row) -> SignalFit:
@@ -188,12 +189,12 @@ def compare_log(
 
 
 def until_end(run: RunResult) -> Response:
-    """Returns MuJoCo's response up to the time at which the run broke off; the whole response if it did not."""
+    """Returns MuJoCo's response up to the time at which the run was aborted; the whole response if it was not."""
     return run.physics if run.broke_off is None else run.physics.until(run.broke_off[1])
 
 
 def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Sequence[Signal]) -> Response:
-    """Returns measured signals over the time of a run, at the sample times of the one with the larger sample period.
+    """Returns measured signals over the time of a run, at the sample times of log or run, whichever are further apart.
 
     Args:
         log: the log.
@@ -212,7 +213,7 @@ def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Seque
 
 
 def fits(measured: Response, physics: Response) -> dict[str, SignalFit]:
-    """Returns the fits of a run to measured signals, by name, for the signals that both have.
+    """Returns the fits of a run to measured signals, by name, for the signals that run and log have in common.
 
     Signals are compared at the measured times within the run.
     """
@@ -240,7 +241,7 @@ def _rms(values: Array) -> float:
 
 
 def _score(log: MeasuredLog, run: Response, start: float) -> float:
-    """Returns the mean correlation of the common signals of log and run, if the run starts at the time `start` of the log [s]."""
+    """Returns the mean correlation of the common signals of log and run, if the run starts at the log's time `start` [s]."""
     signals = [one for one in run.signals if one.name in log.signals]
     ones = fits(_align_signals(log, run, start, signals), run).values() if signals else ()
     known = [one.correlation for one in ones if one.correlation is not None]

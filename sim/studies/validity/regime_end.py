@@ -1,8 +1,8 @@
 """Bump height at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
 
 The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
-bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below
-this height and one slightly above. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
+bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below this
+height and a bump slightly above it. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
 two runs do not enclose the correct height, the next height follows from the largest signal of the highest run below the limit.
 
 With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at
@@ -27,14 +27,14 @@ from sim.runs.agreement import first_loose
 from sim.studies.validity.map_runs import MapRun, analysed_each, drive_bumps, largest_difference, shares, with_loads
 from synth.controller.controller import Controller
 
-WITHIN = 1.001  # the two MuJoCo runs have heights of the limit divided by this factor and multiplied by this factor
-NEAR = 1.03  # factor on the height within which another limit may be reached first, because bodies rotate
+WITHIN = 1.001  # the heights of the two MuJoCo runs are the predicted height divided and multiplied by this factor
+NEAR = 1.03  # limits within this factor on the height may be reached first, because bodies rotate
 FURTHEST = 4.0  # highest bump to try, relative to the predicted height
 ROUNDS = 8  # largest number of rounds of MuJoCo runs
 ANALYSES = (
     20  # largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit
 )
-# A run ends early if all later signals are below OVER times the largest one, relative to the limits; CUTS times are checked.
+# A run ends early if, relative to the limits, all later signals are below OVER times the largest one. CUTS times are checked.
 OVER, CUTS = 0.8, 30
 
 
@@ -44,8 +44,8 @@ class RegimeEnd:
 
     Attributes:
         predicted: predicted bump height at which the first limit is reached [m].
-        predicted_end: name of this limit in `REGIME_ENDS`.
-        near: names of the limits that are reached within the factor `NEAR` of this height.
+        predicted_end: name of the predicted limit in `REGIME_ENDS`.
+        near: names of the limits that are reached within the factor `NEAR` of the predicted height.
         stays: height of the highest bump in MuJoCo over which no limit is reached [m]; 0 if there is no such bump.
         leaves: height of the lowest bump in MuJoCo over which a limit is reached [m]; infinite if there is no such bump.
         end: name of the first limit that is reached over this bump; empty if there is no such bump.
@@ -102,7 +102,7 @@ def enclose_ends(
     loads: tuple[Load, ...] = (),
     within: float = WITHIN,
 ) -> list[RegimeEnd | None]:
-    """Finds the bump height at which the linear regime ends, for N lengths and speeds, and encloses each by two MuJoCo runs.
+    """Finds the bump heights at which the linear regime ends for N lengths and speeds, and encloses each by two MuJoCo runs.
 
     Args:
         vehicle: the vehicle.
@@ -110,7 +110,7 @@ def enclose_ends(
         bumps: N bumps with the lengths and speeds to study; their responses predict the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.
-        within: factor from the limit to the heights of the two runs, see `WITHIN`.
+        within: factor between the predicted height and the heights of the two runs, see `WITHIN`.
 
     Returns:
         The end for each bump; None if no limit is reached at any allowed height.
@@ -160,7 +160,7 @@ PredictedResponse = tuple[Response, Array]  # a response, and its values relativ
 def _search(
     vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...]
 ) -> Generator[Road, Response, PredictedResponse]:
-    """Generator that yields roads, receives their responses by analysis, and returns the prediction.
+    """Generator that yields roads, receives the computed responses over these roads, and returns the prediction.
 
     A vehicle with linear springs and dampers needs one response. Otherwise, the analysis is nonlinear, and a loop may be
     unstable above some height. The search then finds the lowest height at which the analysis reaches a limit.
@@ -185,7 +185,7 @@ def _search(
 
 
 def _is_open(end: RegimeEnd, within: float) -> bool:
-    """Returns True if runs do not enclose the end yet, and the end may be at an allowed height."""
+    """Returns True if the runs do not enclose the end yet, but the end may be at an allowed height."""
     highest = min(FURTHEST * end.predicted, HIGHEST / within**2)
     return end.leaves > end.stays * within**2 * (1 + 1e-9) and end.stays < highest
 
@@ -194,9 +194,9 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
     """Returns the next height to try [m].
 
     Args:
-        whole: heights of bumps over which no limit is reached [m], ascending, with their largest signal relative to its limit.
+        whole: ascending heights of bumps over which no limit is reached [m], each with the largest signal relative to its limit.
         high: lowest height at which a limit is reached [m]; infinite if there is no such height.
-        within: factor from the limit to the heights of the two runs.
+        within: factor between the predicted height and the heights of the two runs.
     """
     (before, share_before), (low, share) = whole[-2:]
     height = low + (1 - share) * (low - before) / (share - share_before) if share > share_before else math.inf

@@ -1,14 +1,14 @@
-"""Map of validity: the range of linear analysis over a grid of bumps, and the first limit that is reached beyond this range.
+"""Map of validity over a grid of bumps: where linear analysis is valid, and which limit is reached first beyond this range.
 
-Until the first limit is reached, the vehicle is linear. The limit and its time therefore follow from the linear response, which
-is proportional to the bump height. One linear response per length and speed predicts the cells of all heights, and the map
-shows these predictions. MuJoCo confirms the predictions in a few random cells, and along the edge of the linear regime. At each
-length and speed, two runs enclose the height of the edge.
+Until the first limit is reached, the vehicle is linear. The first limit and its time can therefore be predicted from the linear
+response, which is proportional to the bump height. One linear response per length and speed predicts the cells for all heights,
+and the map shows these predictions. MuJoCo confirms the predictions in a few random cells, and along the edge of the linear
+regime. At each length and speed, two runs enclose the height of the edge.
 
-With semi-active dampers, a linear controller lacks force at any height. The map then shows the share of missing force. Its
-analysis includes these dampers; this response is also proportional to the height. The characteristic of a nonlinear spring or
-damper departs gradually from its linearisation; a difference above the share `LEAVES` counts as a limit. Responses
-with such characteristics or with loads are not proportional to the height, so each cell needs its own response.
+With semi-active dampers, some force of a linear controller is missing at any height. The map then shows the share of missing
+force. The analysis then includes these dampers; its response is also proportional to the height. The characteristic of a
+nonlinear spring or damper departs gradually from its linearisation; a difference above the share `LEAVES` counts as a limit.
+Responses with such characteristics or with loads are not proportional to the height, so each cell needs its own response.
 """
 
 import math
@@ -29,11 +29,11 @@ from sim.studies.validity.map_runs import MapRun, analyse_bumps, drive_bumps, sh
 from sim.studies.validity.regime_end import RegimeEnd, enclose_ends
 from synth.controller.controller import Controller, is_linear
 
-BOUNDARY = 0.01  # relative change of the height; a cell is at a boundary if its prediction changes within this range
+BOUNDARY = 0.01  # a cell is at a boundary if a relative change of the height by this amount changes the prediction
 AT_ONCE = 64  # number of responses that are computed simultaneously
 FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # smallest number of simulated cells and of edges, and their shares of all cells
-CLOSE = 1.1  # factor on the height within which a cell counts as near the edge
-WITHIN = 1.004  # factor from the height of the edge to the heights of the two runs that enclose it
+CLOSE = 1.1  # a cell counts as near the edge if its height is within this factor of the edge
+WITHIN = 1.004  # factor between the height of the edge and the heights of the two runs that enclose the edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +46,10 @@ class Cells:
         loads: loads on the body over each bump.
         threshold: largest error for which linear analysis counts as valid, relative to the peak.
         bumps: bumps, one for each cell.
-        used: largest value relative to each limit in `REGIME_ENDS` by analysis, shape (N, E).
+        used: largest value relative to each limit in `REGIME_ENDS`, computed by analysis, shape (N, E).
         predicted: predicted first limit as an index into `REGIME_ENDS`, shape (N,); -1 if no limit is reached.
         predicted_time: time of this limit [s], shape (N,); infinite if no limit is reached.
-        travel: largest suspension deflection by analysis [m], shape (N,).
+        travel: largest suspension deflection, computed by analysis [m], shape (N,).
         driven: results of the MuJoCo runs, by index of the cell.
         boundary: indices of the simulated cells whose prediction differs at a height 1 % lower or higher.
         ends: bump heights that MuJoCo runs enclose, by index of a cell with the same length and speed.
@@ -103,7 +103,7 @@ class Cells:
 
     @cached_property
     def others(self) -> frozenset[int]:
-        """Indices of the cells in which MuJoCo first reaches another limit than predicted."""
+        """Indices of the cells in which the first limit in MuJoCo is not the predicted limit."""
         return frozenset(i for i, one in self.driven.items() if one.first != self.predicted[i])
 
     @property
@@ -128,7 +128,7 @@ class Cells:
         return not self.unexplained and all(end.confirmed for end in self.ends.values())
 
 
-@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow; its cells show this
+@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow, and its cells show this
 def validity(
     vehicle: Vehicle,
     controller: Controller,
@@ -153,7 +153,8 @@ def validity(
     """
     used, predicted, when, travel = _predict_cells(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
-    borders = np.linspace(0, len(bumps), wanted + 1).astype(int)  # parts of the grid, each with one random cell
+    # One random cell is simulated in each of these parts of the grid
+    borders = np.linspace(0, len(bumps), wanted + 1).astype(int)
     chosen = np.random.default_rng(0).integers(borders[:-1], borders[1:])
     runs = drive_bumps(vehicle, [(controller, with_loads(bumps[i], loads), len(time)) for i in chosen], time)
     boundary = set[int]()
@@ -172,7 +173,7 @@ def validity(
 def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:
     """Returns the indices of some evenly spread cells at the edge of the linear regime, at most one per length and speed.
 
-    An edge exists at a length and speed if cells are on both sides of the edge, or if a cell is close to it (factor `CLOSE`).
+    There is an edge at a length and speed if cells lie on both sides of it, or if a cell is close to it (factor `CLOSE`).
 
     Args:
         bumps: bumps of all N cells.

@@ -46,7 +46,7 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
-RUN_HEIGHT = Field[float]("height", float, ".5g")  # with enough digits to repeat the run
+RUN_HEIGHT = Field[float]("height", float, ".5g")  # enough digits to repeat the run
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
@@ -62,7 +62,7 @@ ENDS: tuple[Field[OneEnd], ...] = (
 def write_csv(path: Path, cells: Cells) -> None:
     """Writes a CSV file with a row per cell in SI units.
 
-    Entries are empty for limits that are not reached, and for results of MuJoCo in cells that were not simulated.
+    Entries are empty for limits that are not reached, and for MuJoCo results of cells that were not simulated.
     """
     rows, shares = _cells(cells), [f"linear_share_of_{end.replace(' ', '_').replace('-', '_')}" for end in END_NAMES]
     last = [key for key in ("missing_force", "simulated") if key in rows[0]]

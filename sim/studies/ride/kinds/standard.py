@@ -127,7 +127,7 @@ class FinalAngle(Angle):
 
 
 class Acceleration(Metric):
-    """Base class for metrics of a vertical acceleration of the body. If points with a person exist, only they are compared."""
+    """Base class for metrics of a vertical acceleration of the body. Points with a person are compared, or else all points."""
 
     unit, of, over_runs = "m/s2", "accelerations", LARGEST
 
@@ -141,7 +141,7 @@ class Acceleration(Metric):
 
 
 class RmsAcceleration(RootMeanSquare, Acceleration):
-    """Root mean square of the acceleration. At a jump, the mean square is that of the values on both sides."""
+    """Root mean square of the acceleration. At a jump, the mean square of the values on both sides is used."""
 
     def update(self, meter: Meter, totals: Totals) -> None:
         totals.add(squares(meter.midway[self.source]))
@@ -277,7 +277,7 @@ class TyreLoad(Metric):
 
 
 class DynamicLoad(RootMeanSquare, TyreLoad):
-    """Dynamic load coefficient: rms(F - F_static) / F_static. With loads on the body, the standard deviation of F / F_static."""
+    """Dynamic load coefficient: rms(F - F_static) / F_static; under loads, the standard deviation of F / F_static."""
 
     what, headline = "dynamic_load", "load"
     column = Column("dynamic load [-]", change="tyre load", praise=("hold", " the road"), bars="Dynamic tyre load")
@@ -310,7 +310,7 @@ class OffGround(Share, TyreLoad):
 
 
 class Force(Metric):
-    """Base class for metrics of an actuator force. At a jump, the values on both sides count."""
+    """Base class for metrics of an actuator force. At a jump, the values on both sides are included."""
 
     unit, of, effort = "N", "actuators", True
 
@@ -388,7 +388,7 @@ class ControlEnergy(Work):
 
 
 def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns the name of a metric: the metric replaces the common prefix of the signal, or follows the name of the signal.
+    """Returns the full name of a metric: `metric` replaces the common prefix in the signal's name, or follows this name.
 
     Args:
         signal: name of the signal.
