@@ -259,7 +259,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
 
 
 def check_unlimited(limited: Sequence[str], what: str) -> None:
-    """Checks that `[limits]` has no limits for force actuators. `what` describes the dampers in the message.
+    """Checks that `[limits]` has no limits for force actuators. The argument `what` describes the dampers in the message.
 
     Raises:
         InputError: a key of `[limits]` limits force actuators.

@@ -9,9 +9,9 @@ line is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-There is a term for every segment whose slope is not s. The argument of the term is measured from that end of the segment which
-is closer to 0 than the other end. A straight characteristic has no terms. The sum is also valid for a characteristic that falls
-in some segments.
+There is a term for every segment whose slope is not s. The argument of the term is measured from the end of the segment with
+the smaller magnitude. A straight characteristic has no terms. The sum is also valid for a characteristic that falls in some
+segments.
 """
 
 from collections.abc import Sequence
@@ -33,8 +33,8 @@ class Pieces:
     """Segments of a characteristic's deviation from its straight line: P segments for each characteristic, shape (..., P).
 
     Attributes:
-        slope: a [N per unit of the argument], shape (..., P).
-        start: k, the end of the segment that is closer to 0 [unit of the argument], shape (..., P).
+        slope: slope a of each segment [N per unit of the argument], shape (..., P).
+        start: end k of each segment, the one closer to 0 [unit of the argument], shape (..., P).
         low: lower bound of the force [N], shape (..., P); infinite for a segment without end.
         high: upper bound of the force [N], shape (..., P); infinite for a segment without end.
     """

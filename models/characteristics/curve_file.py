@@ -148,10 +148,9 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
 def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     """Returns a table in SI units. Values are positive in extension, but values of a stop are positive in compression.
 
-    The words in the headings determine the signs. The data sheet of a damper dynamometer has speeds, and forces in compression
-    and in
-    rebound: for a speed v, F(v) is the rebound force, and F(-v) is minus the compression force. A table whose argument goes
-        back and forth is a measured loop.
+    The words in the headings determine the signs. The data sheet of a damper dynamometer has a speed v, a rebound force and a
+    compression force in each row. F(v) is then the rebound force, and F(-v) is minus the compression force. A table whose
+    argument goes back and forth is a measured loop.
 
     Args:
         text: content of the file.

@@ -14,7 +14,7 @@ from models.common.printed import rough
 
 CYCLES = 10  # number of cycles at the end of a log that are used
 STROKE = 0.5  # smaller strokes, relative to the range of displacement, do not end a cycle
-# Cut-off frequency of the filter relative to the frequency of the cycles, and order of its polynomials
+# Cut-off frequency of the filter relative to the frequency of the cycles, and order of the filter's polynomials
 HARMONICS, ORDER = 12.0, 3
 LEAST_SIDE = 3  # smallest number of samples on both sides of the filter's centre
 NEARLY = 0.05  # a cycle counts as full if at most this share of it is missing

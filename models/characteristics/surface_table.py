@@ -20,7 +20,7 @@ from models.common.units import unit_named, unit_size
 NAMES = ("velocity", "deflection", "force")
 QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # pattern of a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-# Largest number of pairs of velocity and deflection in the grid, per row of the list; if more pairs are missing, the list is
+# Largest number of cells in the grid of velocities and deflections, per row of a list. If more cells are missing, the list is
 # not a table of this type
 PAIRS_PER_ROW = 4
 

@@ -230,7 +230,9 @@ class AnyTable(Key):
 
 @dataclass(frozen=True)
 class Subsection(Key):
-    """A table that is a section. If there are several possible sections, the required key in the table selects one of them.
+    """A table that is read as a section.
+
+    If there are several possible sections, the required key in the table selects one of them.
 
     `give` is the end of the message for an invalid value.
     """

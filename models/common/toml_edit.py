@@ -66,7 +66,8 @@ def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:
         if outer is not body:  # for an inline table, the item of the first key contains the other keys
             name, *others = written
             written = {name: ", ".join([written[name], *(f"{_key(key)} = {written[key]}" for key in others)])}
-        # tomlkit would take seconds to create the items of large matrices. A number whose text is the whole value takes no time.
+        # tomlkit would take seconds to create the items of large matrices. A number whose text is the whole value takes almost
+        # no time.
         new = [(SingleKey(key), Float(0.0, Trivia(place.indent, trail="\n"), value)) for key, value in written.items()]
         first, last = new[0][1].trivia, new[-1][1].trivia
         first.comment_ws, first.comment, last.trail = place.comment_ws, place.comment, place.trail

@@ -54,7 +54,7 @@ POUND = re.compile(r"\blbs?\b")
 
 
 def unit_named(text: str) -> str:
-    """Returns the usual name of a unit; if the unit is unknown, its text in lower case."""
+    """Returns the usual name of a unit or, if the unit is unknown, the text in lower case."""
     return WORDS.get(text.lower(), text.lower())
 
 

@@ -67,7 +67,7 @@ class Car:
 
     @property
     def on_demand(self) -> tuple[Signal, ...]:
-        """Output signals that exist only if a controller or goal names them: accelerations of the wheels, and heights."""
+        """Output signals that exist only if a controller or goal uses them: accelerations of the wheels, and heights."""
         heights = self.at_corners(signals.SPRUNG_DISPLACEMENT, signals.UNSPRUNG_DISPLACEMENT)
         return (*self.at_corners(signals.UNSPRUNG_ACCELERATION), signals.HEAVE_DISPLACEMENT, *heights)
 

@@ -13,9 +13,9 @@ ground,
 
 with the roll stiffness K of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D. L.
 Milliken, Race Car Vehicle Dynamics, ch. 18). In the same way, if there is a pitch centre, the body pitches about an axis at the
-height of the pitch centre. The roll axis and the pitch axis are horizontal and do not move relative to the ground, because no
-tyre slips sideways, and tyres deflect only vertically. The links guide every wheel, so the deflection of a suspension is z - x
-theta + y phi - z_u at any angle.
+height of the pitch centre. The roll axis and the pitch axis are horizontal and do not move relative to the ground. No tyre
+slips sideways, and tyres deflect only vertically. The links guide every wheel, so the deflection of a suspension is z - x theta
++ y phi - z_u at any angle.
 
 Links transmit a horizontal force F on the body to the tyres. Each axle takes a share s of a lateral force: the distance of the
 other axle from the centre of mass, divided by the wheelbase L. Through the links, the load on the outer wheels of the axle
@@ -24,16 +24,17 @@ parameter `anti_...` of an axle is the share of its load transfer that the links
 braking force. Let beta be the slope angle, in side view, of a line from the wheel to the instant centre. Then (Gillespie, ch.
 7; Milliken, ch. 17), for rear-wheel drive,
 
-    anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L /
-    h.
+    anti_dive_front = b_f tan(beta) L / h
+    anti_lift_rear = (1 - b_f) tan(beta) L / h
+    anti_squat_rear = tan(beta) L / h
 
 The line begins at the tyre contact point if the links react the wheel torque. Examples are brakes at the wheel and a driven
 solid axle. The line begins at the wheel centre if the body reacts the torque. Examples are inboard brakes and a driven wheel
 with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
-of the wheels does not act on the body. The inertial force of the wheels, which acts at their height, is a moment on the tyres:
-of one axle in cornering, of both axles in braking.
+of the wheels does not act on the body. The inertial force of the wheels acts at their height, so it is a moment on the tyres.
+In cornering, it acts on the same axle; in braking, on both axles together.
 
 A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
 whole lateral force.

@@ -259,9 +259,9 @@ def linear_model(
         states: signals of the state (d, P t, q', z_u'), in total c + p + k + c signals.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals in this order: states, other tyre deflections, q'', velocity and acceleration of the body above
-            each corner, control forces, accelerations of the wheels, and heights (of the body, above each corner, and of the
-            wheels).
+        outputs: output signals. First the states, other tyre deflections, q'', and velocity and acceleration of the body above
+            each corner. Then control forces, accelerations of the wheels, and heights (of the body, above each corner, and of
+            the wheels).
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)

@@ -79,8 +79,8 @@ class Filter:
         integrates: True if its only section may have a pole at 0.
 
     Raises:
-        InputError: a polynomial is invalid or zero, or its degree is too high; the filter is improper or unstable; or a pole or
-            the gain is out of range.
+        InputError: a polynomial is invalid or zero, or its degree is too high. The error is also raised if the filter is
+            improper or unstable, or if a pole or the gain is out of range.
     """
 
     sections: tuple[Biquad, ...]

@@ -34,7 +34,7 @@ class ControlLaw:
 
     @property
     def driver_key(self) -> DriverKey:
-        """The `law_key` of the law, or of its exported code if this code computes the outputs in runs."""
+        """Key of the driver: `law_key` or, if exported code computes the outputs in runs, the checksum of this code."""
         return self.law_key if self.code is None else ("code", self.code.sha256)
 
     @property

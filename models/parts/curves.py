@@ -30,7 +30,8 @@ def curves_and_parameters(
         kind: vehicle type.
 
     Returns:
-        The characteristics, `[parameters]` with their values at equilibrium, and the vehicle type with motion ratios.
+        The characteristics, the parameters with the values of the characteristics at equilibrium, and the vehicle type with
+        motion ratios.
 
     Raises:
         InputError: a table is not allowed, or a parameter is in both sections.

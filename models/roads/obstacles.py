@@ -57,7 +57,7 @@ class WattsHump(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of both ends of the hump [s]."""
+        """Times at which the first wheel is at the ends of the hump [s]."""
         return (0.0, self.duration)
 
     def scaled(self, factor: float) -> Road:
@@ -115,12 +115,12 @@ class Step(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of both ends of the edge [s]."""
+        """Times at which the first wheel is at the ends of the edge [s]."""
         return (self.start, self.duration) if self.edge else (self.start,)
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Time of the edge, if the edge is vertical."""
+        """Time [s] and height [m] of the edge, if the edge is vertical."""
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
@@ -165,7 +165,7 @@ class Pothole(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times at which a wheel is at the ends of the two edges [s]."""
+        """Times at which the first wheel is at the ends of the two edges [s]."""
         edge = self.edge / self.speed
         return (0.0, edge, self.duration - edge, self.duration)
 

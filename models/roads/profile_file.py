@@ -46,7 +46,7 @@ A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
 WIDEST = 20.0
 STEP_REFUSAL = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
 # Range of the slope of a column over the distance of the rows, in any units of length, in which the column is a distance. The
-# heights of a road do not rise like this along its whole length.
+# heights of a road do not rise with this slope along the whole length.
 LIKE_DISTANCE = (0.2, 5.0)
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")

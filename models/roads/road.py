@@ -255,7 +255,7 @@ class Bump(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of both ends of the bump [s]."""
+        """Times at which the first wheel is at the ends of the bump [s]."""
         return (0.0, self.duration)
 
     def _on(self, t: Array, side: str) -> Array:
@@ -441,7 +441,7 @@ class ScaledRoad(DerivedRoad):
         return {**self.road.describe(), "factor": self.factor}
 
     def scaled(self, factor: float) -> "ScaledRoad":
-        """Returns the road with a further factor on its heights."""
+        """Returns the road with heights multiplied by an additional factor."""
         return ScaledRoad(self.road, self.factor * factor)
 
 
@@ -552,7 +552,7 @@ class RoadInput:
 
     @property
     def has_held_inputs(self) -> bool:
-        """True if other inputs than road heights are held over time steps: loads, or road velocities if tyres have damping."""
+        """True if inputs other than road heights are held over time steps: loads, or road velocities if tyres have damping."""
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
@@ -624,8 +624,8 @@ class RoadInput:
 
         MuJoCo holds these velocities over the steps.
 
-        With the mean rate, the tyre damping c gives the impulse c dz in every step in which the height changes by dz, even
-        across a kink or an edge.
+        If the height changes by dz in a step, the tyre damping c therefore gives the impulse c dz, even across a kink or an
+        edge.
         """
         end = under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, self.time[-1:] + self.timestep)
         return np.diff(self.heights, axis=0, append=end) / self.timestep

@@ -44,8 +44,8 @@ class DesignConditions:
     Attributes:
         noise: rms noise of each measured signal, in the unit of the signal; empty for exact measurements.
         bandwidth: corner frequency of the first-order lag of every actuator [rad/s]; None for actuators without lag.
-        loads: loads on the body as additional disturbances, by name: the size of the load that has the same weight in a design
-            as 1 m/s of the disturbance w [N, N m].
+        loads: loads on the body as additional disturbances, by name. Each value is the load that has the same weight in a
+            design as 1 m/s of the disturbance w [N, N m].
     """
 
     public_name = "design conditions, such as vehicle.hardware(name) returns"

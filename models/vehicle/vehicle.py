@@ -88,7 +88,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
 
 
 Entries = Mapping[str, Any]
-# Vehicle type for each plane of motion, by the `type` in a file
+# Vehicle type for each plane of motion, by the value of `type` in a file
 PLANES = {"half_car": {"pitch": "half_car", "roll": "half_car_roll"}}
 
 
@@ -582,11 +582,7 @@ class Vehicle(ShownResult):
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
-        """Returns the vehicle after a check of the combination of parameters and weights, which `dataclasses.replace` omits.
-
-        Raises:
-            InputError: the combination is not a valid vehicle, or does not fit its characteristics, dampers or filters.
-        """
+        """Returns the vehicle after checking the combination of parameters and weights, unlike `dataclasses.replace`."""
         parameters = self.kind.check(self.parameters)
         outputs = (*self.kind.full_model(parameters).outputs, *names_of(self.kind.of_parts))
         check_weights(self.performance, self.sums, outputs)

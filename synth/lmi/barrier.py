@@ -26,7 +26,7 @@ Block = tuple[Array, Array]
 
 QUADRATIC = 0.25  # Newton decrement below which full steps converge quadratically (Boyd, Vandenberghe, section 9.6.4)
 STEPS = 200  # largest number of Newton steps
-# Total number of rows up to which all blocks are joined, which saves calls; if there are more rows, only blocks with one row
+# Total number of rows up to which all blocks are joined, which saves calls. If there are more rows, only blocks with one row
 # are joined
 TOGETHER = 24
 PANEL = 64  # number of columns that the QR decomposition processes together

@@ -65,8 +65,8 @@ class Plant:
         C: matrix from the states to the d outputs, shape (d, n).
         D: feedthrough from the inputs to the outputs, shape (d, m).
         Dw: feedthrough from the disturbances to the outputs, shape (d, r); zero in the paper.
-        beyond: rounding errors of A and C of a closed loop (true value minus float) [A; C], shape (n + d, n); None if A and C
-            are exact.
+        beyond: rounding errors of [A; C] of a closed loop (true value minus float), shape (n + d, n); None if A and C are
+            exact.
         weights: number of states that belong to weighting filters; they are the last states. Controllers cannot move the poles
             of these filters, and the speed of the plant does not include them.
         dt: sample period of a discrete plant [s]; None for a continuous plant.

@@ -206,7 +206,7 @@ def speed(plant: Plant) -> tuple[float, bool]:
 
 def _speed(plant: Plant) -> tuple[float, bool]:
     A = plant.A
-    # The sum of all squared poles is compared with the sum of the absolute terms. Both sums do not depend on the units.
+    # The sum of all squared poles is compared with the sum of the absolute terms. Neither sum depends on the units.
     if abs(np.sum(A * A.T)) <= CANCELLED_SUM * np.sum(np.abs(A * A.T)):
         own = own_units(plant)
         if are_integrators(own.into(plant).A):

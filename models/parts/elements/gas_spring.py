@@ -27,7 +27,7 @@ from models.parts.part import Line, Number, Part
 
 ATMOSPHERE = 101325.0  # Pa
 USUAL = 293.15  # K
-NARROWEST = 0.02  # smallest volume relative to the volume in equilibrium; a real spring reaches its stop before
+NARROWEST = 0.02  # smallest volume relative to the volume in equilibrium; a real spring reaches its stop at a larger volume
 DRAWN_SHARE = 0.5  # largest deflection of the drawn characteristic, relative to the length of the gas column in equilibrium
 
 
