@@ -339,11 +339,11 @@ class Designer:
             self.design(name)  # raises an error with the reason
         return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
-    a design for the sampled-data loop is already refined
-        """Returns a relative decrease that `refine` would achieve for the norm of a designed controller; 0 if it is negligible."""
+    def worth_refining(self, controller: Controller) -> float:
+        """Returns a relative decrease of a designed controller's norm that `refine` would achieve; 0 if it is negligible."""
         if (
             not controller.designed
-            or controller.sampled  # the design for the sampled-data loop is refined already
+            or controller.sampled  # a design for the sampled-data loop is already refined
             or not controller.measured
             or not goes("refine", self._entry(controller.name).parts)
             or self.vehicle.integrals

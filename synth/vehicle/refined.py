@@ -1,4 +1,4 @@
-"""Result of `--refine` for a controller, with the trade-off between norm and gain, and an estimate of the benefit of `--refine`."""
+"""Result of `--refine` for a controller, with the trade-off of norm and gain, and an estimate of the benefit of `--refine`."""
 
 from dataclasses import dataclass
 

@@ -101,7 +101,7 @@ class MultiplierForm:
         )
 
     def at(self, T: Array) -> Array:
-        """Returns the largest eigenvalue of the form for each frequency response T, shape (F,), from T of shape (F, d + k, r + k)."""
+        """Returns the largest eigenvalue of the form for each frequency response in T, shape (F, d + k, r + k); shape (F,)."""
         W, L, R = self.weights
         adjoint = T.conj().swapaxes(-1, -2)
         across = adjoint @ L

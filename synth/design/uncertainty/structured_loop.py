@@ -30,7 +30,7 @@ class StructuredLoop:
     """Loop M with k errors. The last k inputs of the loop are p, and the last k outputs are q.
 
     Attributes:
-        loop: system from [w; p] to [z; q], shape (d + k, r + k); only from p to q if there is no performance block.
+        loop: system M from [w; p] to [z; q], shape (d + k, r + k); from p to q if there is no performance block.
         errors: number k of errors.
     """
 

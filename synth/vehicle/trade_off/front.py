@@ -1,4 +1,4 @@
-"""Trade-off of a vehicle between two or three axes: certified designs on the Pareto front, lower bounds, and other controllers for comparison."""
+"""Trade-off of a vehicle between two or three axes: certified designs, lower bounds, and other controllers."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
