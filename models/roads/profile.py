@@ -75,8 +75,7 @@ class Profile(MeasuredRoad):
         if slope > STEEPEST:
             raise InputError(
                 f"the road is {x[-1] - x[0]:.4g} m long in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} "
-                f"to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than any road; if distances are in km, or "
-                f"heights "
+                f"to {z.max():.4g} m. Its rms slope of {slope:.3g} is steeper than any road; if distances are in km, or heights "
                 "in mm, add :distance_unit=km or :height_unit=mm"
             )
 

@@ -108,7 +108,7 @@ def _parser() -> Parser:
         help="run only part K of N parts, for example as a job of a cluster; parts may run at the same time if they share the "
         "folder of the results",
     )
-    parser.add_argument("--merge", action="store_true", help="make the results of the whole campaign from its finished parts")
+    parser.add_argument("--merge", action="store_true", help="combine the finished parts into the results of the whole campaign")
     parser.add_argument(
         "--verify",
         type=Path,

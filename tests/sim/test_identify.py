@@ -358,7 +358,7 @@ def test_a_log_in_parquet(tmp_path, monkeypatch):
     np.testing.assert_allclose(read.signals[TRAVEL], [1e-3, np.nan, 3e-3, 4e-3])
     np.testing.assert_allclose(read.time, [0.0, 0.1, 0.2, 0.3])
     monkeypatch.setattr("models.common.table.MOST_BYTES", 100)
-    with pytest.raises(InputError, match="cut it, or resample it"):
+    with pytest.raises(InputError, match="shorten it, or resample it"):
         read_measured_log(tmp_path / "log.parquet", {TRAVEL: "m"})
 
 

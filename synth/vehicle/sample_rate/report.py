@@ -46,7 +46,7 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
         Field[Cost]("lost late", lambda one: _highest_unstable_rate(one.lost_late)),
     ]
     alone = [one.controller.name for one in costs if one.controller.preview is not None]
-    texts = statements((name, "the norm is that of the feedback without the preview") for name in alone)
+    texts = statements((name, "the norm describes the feedback without the preview") for name in alone)
     plain = lag and any(one.controller.hardware.bandwidth is None for one in costs)
     texts += [*notes(*(about(costs[0], lag if plain else "", "designed" in kinds) for _ in costs[:1]))]
     caption = "The slowest sample rate with little loss, the change of the norm there, and the highest unstable rate."
