@@ -209,8 +209,8 @@ def plain(value: Any) -> Any:
 class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
-    The first arguments are the place of the wrong part within the value, such as "[0]", and the part. Then come the annotation
-    that the part does not fit, and a message. An empty message is replaced by the default message.
+    The first arguments are the place of the wrong part within the value, such as "[0]", and the part. The other arguments are
+    the annotation that the part does not fit, and a message. An empty message is replaced by the default message.
     """
 
 

@@ -582,7 +582,11 @@ class Vehicle(ShownResult):
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
-        """Returns the vehicle after checking the combination of parameters and weights, unlike `dataclasses.replace`."""
+        """Returns the vehicle after checking the combination of parameters and weights, unlike `dataclasses.replace`.
+
+        Raises:
+            InputError: the combination is not a valid vehicle, or does not fit its characteristics, dampers or filters.
+        """
         parameters = self.kind.check(self.parameters)
         outputs = (*self.kind.full_model(parameters).outputs, *names_of(self.kind.of_parts))
         check_weights(self.performance, self.sums, outputs)
