@@ -129,7 +129,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that first checks its arguments by their annotations.
 
-    The function also issues the warnings of the vehicle or runs that it returns, each of them once.
+    If the function returns a vehicle or runs, it also issues their warnings, each one once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 

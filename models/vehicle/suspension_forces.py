@@ -72,8 +72,8 @@ class SuspensionForces:
         Args:
             d: suspension deflections at the wheels [m], shape (..., N, s).
             v: rates of the deflections [m/s], shape (..., N, s).
-            inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal ones [N s/m], shape
-                (..., N, m).
+            inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal coefficients [N s/m],
+                shape (..., N, m).
             z: own states of the parts, shape (..., N, k).
         """
         pulls = None

@@ -162,7 +162,7 @@ def _mass(p: Parameters) -> float:
 
 
 class _Inertial(RampedLoad):
-    """Load due to the vehicle's own acceleration: the inertial force of the body acts at the height of its centre of mass."""
+    """Load due to the vehicle's own acceleration: the inertial force of the body, acting at its centre of mass."""
 
     way: ClassVar[str]
     size: ClassVar[str] = "g"
