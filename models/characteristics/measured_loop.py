@@ -21,7 +21,7 @@ LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
 TURN = 0.1  # smaller reversals, relative to the range, are noise
 OVERLAP = 0.5  # branches that overlap less than this, relative to the range, are not a loop
 BINS = 200  # number of bins in each branch
-ROUNDING = 1e-9  # relative rounding error, which is relative to the largest force
+ROUNDING = 1e-9  # rounding error, relative to the largest force
 
 
 def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Array, Array, str] | None:

@@ -61,7 +61,7 @@ def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
     The weight `dear` includes the previous corrections, so the order of the poles does not matter.
 
     Raises:
-        LinAlgError, ValueError: a pole outside the circle is not observable through C.
+        LinAlgError, ValueError: a pole outside the circle cannot be observed through C.
     """
 
     def beyond(real: float, imag: float) -> bool:

@@ -282,7 +282,7 @@ class Part(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SuspensionPart:
-    """Part at its place in a vehicle.
+    """Part together with its place in a vehicle.
 
     Attributes:
         place: the suspension.

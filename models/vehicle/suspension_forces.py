@@ -28,7 +28,7 @@ class SuspensionForces:
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
-        """Prepares the forces of N vehicles, or of one vehicle for any number of runs.
+        """Prepares the computation of the forces for N vehicles, or for one vehicle in any number of runs.
 
         Args:
             vehicles: the N vehicles, or one vehicle.

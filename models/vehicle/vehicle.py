@@ -540,7 +540,7 @@ class Vehicle(ShownResult):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files that define the vehicle: the vehicle file, and files of control laws, roads in peak bounds and vehicle type."""
+        """All files that define the vehicle: vehicle file, control laws, roads in peak bounds, and vehicle type."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.named_files, *(entry.source.path for entry in entries if entry.source.path))
         roads = named_files(road for entry in entries if entry.goals is not None for road in entry.goals.roads)

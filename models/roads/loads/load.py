@@ -46,7 +46,7 @@ class Load(ABC):
 
     @property
     def content(self) -> str:
-        """The text without the name of its file."""
+        """The text that defines the load, without the name of a file."""
         return self.text
 
     @property
