@@ -1,8 +1,8 @@
 """`[actuators]` of a vehicle file: each suspension has a force actuator or a semi-active damper.
 
-The coefficient c of a semi-active damper is between c_min and c_max, and a valve sets it. The damper gives the force -c v,
-where v is the velocity at which its suspension extends. The linear model (28) contains the nominal coefficient c_s. The control
-force is the deviation from the force of the nominal damper:
+A valve sets the coefficient c of a semi-active damper between c_min and c_max. The damper gives the force -c v, where v is the
+velocity at which its suspension extends. The linear model (28) contains the nominal coefficient c_s. The control force is the
+deviation from the force of the nominal damper:
 
     u = -(c - c_s) v.
 
@@ -74,7 +74,7 @@ class Envelope:
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
         """Deviation of h from a straight line, as ramps: knot [m/s], increase of the slope beyond the knot, and side (1 or -1).
 
-        A ramp that begins at 0 never has a negative increase, because MuJoCo would interpret the bias of its actuator as a
+        The increase of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of its actuator as a
         damping ratio.
         """
         x, slopes = self.knots, self.shape.slopes

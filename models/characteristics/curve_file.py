@@ -90,7 +90,7 @@ def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) 
     Args:
         entry: entry of the vehicle file.
         path: keys that lead to the entry.
-        texts: True if a text is a file name, unless it is a number with a unit.
+        texts: True if every text that is not a number with a unit is a file name.
     """
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
     if named or _names_file(entry) or (isinstance(entry, list) and any(map(_names_file, entry))):

@@ -5,9 +5,9 @@ or to the branch on which it falls. Each branch is averaged in bins. The charact
 hysteresis is half of their difference. Because of noise, the mean force may fall in places. The mean is then replaced by the
 non-decreasing function that is closest in the least-squares sense (isotonic regression).
 
-With play or friction, a damper's slope at velocity 0 differs from the coefficient of the linear damper that dissipates the same
-energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F is the
-force and v the velocity. The note of the characteristic contains both the slope and the coefficient.
+If a damper has play or friction, its slope at velocity 0 differs from the coefficient of a linear damper that dissipates the
+same energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F
+is the force and v the velocity. The note of the characteristic contains both the slope and the coefficient.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
 TURN = 0.1  # smaller reversals, relative to the range, are noise
 OVERLAP = 0.5  # branches that overlap less than this, relative to the range, are not a loop
 BINS = 200  # number of bins in each branch
-ROUNDING = 1e-9  # relative rounding error, which is relative to the largest force
+ROUNDING = 1e-9  # rounding error, relative to the largest force
 
 
 def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Array, Array, str] | None:
@@ -64,7 +64,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
 
 def slope_words(curve: ForceCurve) -> str:
-    """Returns a phrase about the slope of a loop's mean at 0, and the range in which it is taken; empty for other curves."""
+    """Returns a phrase about the slope of a loop's mean at 0 and the range of this slope; empty if there is no loop."""
     if LOOP not in curve.note:
         return ""
     i = int(np.searchsorted(curve.x, 0.0))

@@ -56,7 +56,7 @@ class RatioTable:
         return slope_at_rest(x, self(x)) / self.at_rest
 
     def scaled(self, at_rest: float) -> "RatioTable":
-        """Returns the table multiplied by a factor, so that its ratio in equilibrium has a given value."""
+        """Returns the table multiplied by such a factor that the ratio in equilibrium has a given value."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
     def shifted_to(self, rest: float) -> "RatioTable":

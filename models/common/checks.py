@@ -129,7 +129,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that first checks its arguments by their annotations.
 
-    The function also issues the warnings of the vehicle or runs that it returns, each of them once.
+    If the function returns a vehicle or runs, it also issues their warnings, each one once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
@@ -209,8 +209,8 @@ def plain(value: Any) -> Any:
 class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
-    The first arguments are the place of the wrong part within the value, such as "[0]", and the part. Then come the annotation
-    that the part does not fit, and a message. An empty message is replaced by the default message.
+    The first arguments are the place of the wrong part within the value, such as "[0]", and the part. The other arguments are
+    the annotation that the part does not fit, and a message. An empty message is replaced by the default message.
     """
 
 

@@ -25,8 +25,8 @@ def run(command: str, *arguments: str) -> "NoReturn":
     """Runs `main` of a command's module, and exits with the code that `main` returns.
 
     If an exception ends the command, the exit code is 2 for invalid input, 1 for a failed design, 130 for Ctrl-C, otherwise 1.
-    After Ctrl-C, every exception counts as the interrupt, because compiled code can turn the interrupt into an error of another
-    type. With `--traceback`, the exception is raised again, which shows its origin.
+    After Ctrl-C, every exception counts as an interrupt, because compiled code can turn the interrupt into another type of
+    error. With `--traceback`, the exception is raised again, which shows its origin.
 
     Args:
         command: full name of the module, such as `sim.bump`.

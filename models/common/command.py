@@ -68,7 +68,10 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
-        """Returns a text in which commands have the form of the present call: `roadproof bump` or `python -m sim.bump`."""
+        """Returns a text in which commands have the form in which the user called this one:
+
+        `roadproof bump` or `python -m sim.bump`.
+        """
         return re.sub(r"python -m (sim$|sim[. ])?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads

@@ -103,7 +103,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Renames all files that `whole_file` writes in this block at the end of the block; renames none if the block fails.
+    """At the end of the block, renames all files that `whole_file` wrote in it; renames none if the block fails.
 
     Raises:
         InputError: the files cannot be renamed.

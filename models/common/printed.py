@@ -225,7 +225,7 @@ def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = 
     """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long is on a separate line.
 
     Args:
-        rows: rows with the same number of cells, whose first cell is a name; or a text that spans all columns.
+        rows: rows with the same number of cells, whose first cell is a name. A row can also be a text that spans all columns.
         indent: prefix of every line.
         tight: True to separate columns by a single space if more names then fit.
     """

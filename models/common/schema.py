@@ -330,7 +330,10 @@ class Section:
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the table of a file after converting values that depend on other keys. No value has been checked yet."""
+        """Returns the table of a file after converting those values that depend on other keys.
+
+        No value has been checked yet.
+        """
         return given
 
     @property

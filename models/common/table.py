@@ -4,8 +4,9 @@ The readers of roads, rigs, characteristics and logs use this module.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a
 decimal comma. A table uses one decimal mark and no thousands separators. A comment begins with `#`; a line that begins with
-`%`, `!` or `//` is also a comment. Names and units of the columns are above the numbers: `force [kN]`, `height_cm`, `left /
-mm`, or units on a line of their own. `csv.Sniffer` is not used, because it takes the comma of `0,5;0,02` for the separator.
+`%`, `!` or `//` is also a comment. Names and units of the columns are above the numbers, as in `force [kN]`, `height_cm` or
+`left / mm`. Units may be on a separate line. `csv.Sniffer` is not used, because it takes the comma of `0,5;0,02` for the
+separator.
 """
 
 import csv

@@ -23,7 +23,7 @@ def _libraries() -> ThreadpoolController:
 
 
 class _Limit:
-    """Limit of the process to one BLAS thread, from the first block that is entered until the last block is left."""
+    """Limits the process to one BLAS thread, from when the first block is entered until the last block is left."""
 
     def __init__(self) -> None:
         self._lock, self._within = threading.Lock(), 0

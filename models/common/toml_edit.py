@@ -1,4 +1,4 @@
-"""Changes to a user's TOML text that keep its comments, order and blank lines; and new sections for such a text."""
+"""Changes to a user's TOML text that keep comments, order and blank lines, and functions that write new sections."""
 
 import json
 import re

@@ -65,7 +65,7 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line, points, or both. Without points, it is only an entry of the legend.
+    """A line, points, or both. A curve without points is only an entry of the legend.
 
     Attributes:
         x: horizontal values, shape (N,).

@@ -140,7 +140,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Returns the contour z = `height` as x and y of a curve, with NaN between its parts.
+    """Returns the contour z = `height` as the x and y values of a curve, with NaN between separate parts.
 
     Args:
         x: horizontal grid, shape (N,).

@@ -12,7 +12,7 @@ from models.document.document import NOTE, Block, Detail, Document, Statement, T
 
 HANG = 6  # spaces before a remark below its row
 HEADING = 3  # largest number of lines in a heading
-LONG = 10  # rows of a long table; in a long table, columns move closer together before a heading gets a third line
+LONG = 10  # tables with more rows are long; their columns move closer together before a heading gets a third line
 CHANGE = " change [%]"  # end of a heading if the column contains the changes of the numbers in the preceding column
 BEST = "*"  # mark after the best number of a column
 

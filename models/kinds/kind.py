@@ -304,7 +304,7 @@ class VehicleKind(CheckedFields):
         static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
             signal. A wheel leaves the ground if its tyre deflection (`DampedTyre`: the equivalent deflection) exceeds this
             value.
-        write_mjcf: function of an `MjSpec` of the type's `.xml` and the parameters: writes the parameters into the `MjSpec`,
+        write_mjcf: function of the `MjSpec` of the type's `.xml` and of the parameters, which it writes into the `MjSpec`
             without importing MuJoCo.
         folder: folder of the `.xml` file.
         check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
@@ -407,7 +407,7 @@ class VehicleKind(CheckedFields):
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
     def with_wheel_loads(self, parameters: Parameters) -> "VehicleKind":
-        """Returns the vehicle type with loads on the wheels, if a vehicle with these parameters has such loads."""
+        """Returns the vehicle type, with loads on the wheels if a vehicle with these parameters has any."""
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
 
@@ -419,7 +419,7 @@ class VehicleKind(CheckedFields):
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 
     def at_wheels(self, parameters: Parameters) -> Parameters:
-        """Returns the parameters with spring and damper rates at the wheel: k r^2 and c r^2 for the motion ratio r.
+        """Returns the parameters with spring and damper rates at the wheel: k r^2 and c r^2, where r is the motion ratio.
 
         If a ratio changes with travel, the preload of the spring also contributes to the stiffness at the wheel. In the result,
         constant ratios are 1, and ratios from tables are omitted.

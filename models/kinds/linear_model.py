@@ -218,7 +218,7 @@ class LinearModel:
         )
 
     def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
-        """Returns the model with additional springs and dampers along e lengths, f = k d + c d'.
+        """Returns the model with additional springs and dampers along e lengths d, whose forces are f = k d + c d'.
 
         Args:
             rows: gains from the states to the lengths, shape (e, n). Neither the road nor a force may act directly on the
@@ -232,7 +232,7 @@ class LinearModel:
         return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
 
     def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
-        """Returns the model with additional inerters along e lengths, f = b d'', in parallel with its other forces.
+        """Returns the model with additional inerters along e lengths d, whose forces are f = b d''.
 
         Let the lengths have the rates d' = S x, and let E be the effect of forces along the lengths. Then the inerters give the
         force p = b S (x' + E p) = (1 - b S E)^-1 b S x', where x' is the rate without inerters.

@@ -18,11 +18,11 @@ slips sideways, and tyres deflect only vertically. The links guide every wheel, 
 + y phi - z_u at any angle.
 
 Links transmit a horizontal force F on the body to the tyres. Each axle takes a share s of a lateral force: the distance of the
-other axle from the centre of mass, divided by the wheelbase L. Through the links, the load on the outer wheels of the axle
-increases by s F h_axle / track. A longitudinal force F at the height h transfers the load F h / L between the axles. The
-parameter `anti_...` of an axle is the share of its load transfer that the links carry. The front axle has the share b_f of the
-braking force. Let beta be the slope angle, in side view, of a line from the wheel to the instant centre. Then (Gillespie, ch.
-7; Milliken, ch. 17), for rear-wheel drive,
+other axle from the centre of mass, divided by the wheelbase L. Through the links, a lateral force F increases the load on the
+outer wheel of the axle by s F h_axle / track. Here h_axle is the height of the axle's roll centre. A longitudinal force F at
+the height h transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the share of the axle's load
+transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope angle, in side view,
+of a line from the wheel to the instant centre. Then (Gillespie, ch. 7; Milliken, ch. 17), for rear-wheel drive,
 
     anti_dive_front = b_f tan(beta) L / h
     anti_lift_rear = (1 - b_f) tan(beta) L / h

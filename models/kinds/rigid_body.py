@@ -29,7 +29,7 @@ Every wheel slides vertically. The struts are upright in equilibrium, and their 
 mass. For this reason, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear model by
 terms that are quadratic in the amplitude.
 
-If suspension links define a roll or pitch axis (`links.py`), the body rotates about an axis that lies b below its centre of
+If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
 mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
 g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. In this case, too, the
 road height therefore acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed tendons.
@@ -362,7 +362,7 @@ def wheelbase(p: Parameters) -> float:
 
 
 def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) -> None:
-    """Raises an InputError if the radius of gyration of a moment of inertia is larger than the body.
+    """Raises an InputError if the radius of gyration that follows from a moment of inertia is larger than the body.
 
     Args:
         name: name of the inertia's parameter.

@@ -3,8 +3,8 @@
 The linear equations are in `rigid_body`.
 
 The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis: R =
-R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically at (x_i, y_i). With the
-vector r_i from hub to body, its length L_i, and q = (z, theta, phi),
+R_y R_x. Strut i connects its hub with the point R (x_i, y_i, 0) of the body. The hub slides vertically at (x_i, y_i). If r_i is
+the vector from hub to body, L_i its length, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
@@ -70,10 +70,10 @@ class RigidMotion:
         shape: matrix S of the `RigidBody`, shape (c, k).
         yaw_inertia: moment of inertia I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
-        further: names of other signals. First the k accelerations of the body, then the velocities and the accelerations of its
-            c points above the hubs, then the accelerations of the hubs. Last, the heights of the centre of mass, of the c
-            points and of the hubs. For a body that only moves vertically, these are the acceleration and the height of the body
-            and of its hub.
+        further: names of other signals. The first names are those of the k accelerations of the body. The next names are those
+            of the velocities and accelerations of its c points above the hubs, and of the accelerations of the hubs. The last
+            names are those of the heights of the centre of mass, of the c points and of the hubs. For a body that only moves
+            vertically, these are the acceleration and the height of the body and of its hub.
     """
 
     body: RigidBody

@@ -1,7 +1,8 @@
 """Vehicle types with a seat: a person above a point of the body, on a spring and a damper in parallel.
 
-The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, it is at
-the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium is given by
+The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, this mass
+is at the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium is given
+by
 
     s' = z_p' - (z' - x theta' + y phi'),     m_p z_p'' = -(k_p s + c_p s'),
 

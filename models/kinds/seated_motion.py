@@ -7,7 +7,7 @@ axes. Relative to the road, the seat's mass is at the position P(y), where
     Y = y cos phi - (s + b) sin phi,     h = c - b + y sin phi + (s + b) cos phi,
     P = (x cos theta + h sin theta,  Y,  z - c - x sin theta + h cos theta).
 
-With the Jacobian J of P, and P'' = J y'' + a, Lagrange's equations of body and seat are
+If J is the Jacobian of P, and P'' = J y'' + a, Lagrange's equations of body and seat are
 
     (M + m J' J) y'' = (Q - ...) + (0, m g - k s - c_p s') - m J' (a + g e_z),
 

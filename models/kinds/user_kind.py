@@ -172,7 +172,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
-    """Returns the vehicle type with functions that raise InputError if they fail, and whose results are checked.
+    """Returns the vehicle type with functions whose results are checked, and which raise InputError if they fail.
 
     `check_together` of the result checks the results.
     """

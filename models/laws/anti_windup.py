@@ -6,9 +6,9 @@ term is exactly zero. While all forces are clipped, the states follow the matrix
 
 The gain L is chosen so that, while all forces are clipped, the states decay at least by the factor exp(-rate T) in a sample
 period of T seconds. Poles inside the circle with the radius exp(-rate T) do not move. Poles outside are mirrored at the circle.
-An integrator, for example, then decays at twice the rate. L is the gain of a Kalman filter with a prescribed degree of
-stability, in the limit of large measurement noise (Anderson, Moore 1971, Linear Optimal Control). The result does not depend on
-the units of the states.
+An integrator, for example, then decays at twice the rate. The matrix L is the gain of a Kalman filter with a prescribed degree
+of stability, in the limit of large measurement noise (Anderson, Moore 1971, Linear Optimal Control). The result does not depend
+on the units of the states.
 """
 
 import numpy as np
@@ -61,7 +61,7 @@ def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
     The weight `dear` includes the previous corrections, so the order of the poles does not matter.
 
     Raises:
-        LinAlgError, ValueError: a pole outside the circle is not observable through C.
+        LinAlgError, ValueError: a pole outside the circle cannot be observed through C.
     """
 
     def beyond(real: float, imag: float) -> bool:

@@ -187,7 +187,7 @@ def _with_partners(part: str, beside: str, written: str) -> str:
 
     Args:
         part: the part.
-        beside: the part that the alternatives replace.
+        beside: the other part.
         written: the part as written in the section.
     """
     if {part, beside} <= KINDS.keys():

@@ -256,7 +256,7 @@ def _decays(polynomial: Sequence[float]) -> bool:
 
 
 def _controllable(above: Sequence[float], below: Sequence[float]) -> LinearLaw:
-    """Returns the controllable form of a section, with a unit of time chosen from its poles, and balanced states."""
+    """Returns the controllable form of a section with balanced states and a unit of time that depends on the poles."""
     k = len(below) - 1
     a = np.array(below) / below[0]
     b = np.concatenate([np.zeros(k + 1 - len(above)), above]) / below[0]

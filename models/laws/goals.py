@@ -51,7 +51,7 @@ WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of an error that is equa
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
-    """Returns the weights of a norm by signal; all weights are 1 for a signal or a list of signals.
+    """Returns the weights of a norm by signal; if only signals without weights are given, all weights are 1.
 
     Returns None for the output z of `[performance]`.
     """
@@ -219,7 +219,7 @@ def _error(where: str, given: Any) -> float | Filter:
 
 
 def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool, ...], ...]:
-    """Returns rows with True if a measurement may act on a force, or the name of a law's structure."""
+    """Returns a row per force, with True for each measurement that may act on it; or the name of a law's structure."""
     measured, corners = context.get("measured", ()), context["corners"]
     if value in PATTERNS:
         return value

@@ -29,7 +29,7 @@ class ControlLaw:
 
     @property
     def law_key(self) -> DriverKey:
-        """Name of the law's driver in `sim.drive.drivers.registry`, and values that are equal for laws with the same driver."""
+        """Name of the law's driver in `sim.drive.drivers.registry`, then values that are equal for laws with the same driver."""
         return ("linear",)
 
     @property

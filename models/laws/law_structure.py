@@ -190,7 +190,7 @@ def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
 
 
 def _one_each(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
-    """Returns a row for each force, with True for its measurement; each measurement acts on one force.
+    """Returns a row for each force, with True for the only measurement that acts on this force.
 
     `what` names the structure in messages.
     """

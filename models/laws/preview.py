@@ -115,7 +115,7 @@ class RoadPreview:
                 ahead, r).
             steps: timesteps between two samples of the controller.
             timestep: timestep of the heights [s].
-            samples: T, number of timesteps of the run.
+            samples: number T of timesteps in the run.
         """
         weights, due = self.weights(steps * timestep), -(-samples // steps)
         sampled = heights[: (due + len(weights) - 2) * steps + 1 : steps]

@@ -169,7 +169,7 @@ class OwnLaw:
 
 
 def anew(function: Any) -> Any:
-    """Returns a copy of a function with its closure, attributes, object and global variables, in their state before the run.
+    """Returns a copy of a function with copies of its closure, attributes, object and global variables.
 
     Functions that have a method `reset`, or that cannot be copied, are returned unchanged.
     """

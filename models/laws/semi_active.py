@@ -5,8 +5,8 @@ force -c v. A law requests c. The damper clips c to its limits and holds it unti
 but the force is always computed with the present v. If a law requests a force F of the whole damper, for example the force of a
 damper between body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
 
-The names of the laws, and the laws without another source, are from Savaresi, Poussot-Vassal, Spelta, Sename, Dugard,
-Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
+Source of the names, and of laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active
+Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -83,7 +83,7 @@ def _over(of: LawCoefficients, force: Quantity, v: Quantity) -> Quantity:
 
 
 def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Two-state skyhook: hard if the damper opposes the motion of the body, else soft (Karnopp, Crosby, Harwood 1974)."""
+    """Two-state skyhook: the damper is hard if it opposes the motion of the body, else soft (Karnopp, Crosby, Harwood 1974)."""
     return _choose(body * (body - wheel) > 0, of.c_max, of.c_min)
 
 
@@ -94,7 +94,7 @@ def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quan
 
 
 def groundhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Two-state groundhook: hard if the damper opposes the wheel's motion, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
+    """Two-state groundhook: the damper is hard if it opposes the wheel's motion, else soft (Valasek and others 1997)."""
     return _choose(-wheel * (body - wheel) > 0, of.c_max, of.c_min)
 
 
@@ -107,7 +107,7 @@ def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def acceleration_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
-    """ADD: hard if the damper opposes the acceleration of the body, else soft (Savaresi, Silani, Bittanti 2005)."""
+    """ADD: the damper is hard if it opposes the acceleration of the body, else soft (Savaresi, Silani, Bittanti 2005)."""
     return _choose(acceleration * (body - wheel) > 0, of.c_max, of.c_min)
 
 
@@ -132,7 +132,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 
 
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
-    """Continuous skyhook of the body's modes: heave, pitch and roll each have a damper to the sky, shared among the corners."""
+    """Continuous skyhook of the body's modes: a damper to the sky for heave, pitch and roll each, shared among the corners."""
     damped = moved = 0.0
     # Terms are added one after another, so that the result does not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):

@@ -1,8 +1,8 @@
 """Semi-active dampers in a vehicle, and the characteristics that act in parallel with them.
 
-A characteristic in `[curves]` for a suspension with a semi-active damper acts in parallel with this damper, as the friction of
-a strut does. At every setting of the damper, only the deviation of this characteristic from its linearisation acts, because the
-semi-active damper replaces the linear part.
+If a suspension with a semi-active damper also has a characteristic in `[curves]`, the characteristic acts in parallel with the
+damper, like the friction of a strut. At every setting of the damper, only the deviation of this characteristic from its
+linearisation acts, because the semi-active damper replaces the linear part.
 
 If c_s is the nominal coefficient and c_s + d the set coefficient, the damper and the parallel characteristic together pull with
 the force

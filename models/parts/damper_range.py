@@ -83,7 +83,7 @@ class CoefficientRange:
         return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
-        """Returns the smallest and the largest force divided by velocity at given velocities, shapes (N, m).
+        """Returns the smallest and the largest ratio of force to velocity at given velocities, shapes (N, m).
 
         Args:
             c_min: smallest coefficient at velocity 0 [N s/m], shape (N, m).

@@ -1,4 +1,4 @@
-"""A part of a suspension: a force between body and wheel, with everything that analysis and simulation need to know about it.
+"""A part of a suspension: a force between body and wheel, with all its properties that analysis and simulation need.
 
 The force F(d, v, z, u) of a part pulls the ends of its suspension together if it is positive. The arguments are the extension d
 of the suspension from equilibrium, its rate v (positive if the suspension extends), the part's own states z, and its inputs u.
@@ -282,7 +282,7 @@ class Part(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SuspensionPart:
-    """Part at its place in a vehicle.
+    """Part together with its place in a vehicle.
 
     Attributes:
         place: the suspension.
@@ -358,7 +358,7 @@ class SuspensionPart:
 
 
 def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signal, ...]":
-    """Returns the signals of the own states of a part that is an element of a suspension."""
+    """Returns the signals of the part's own states, for a part that is an element of a suspension."""
     signals = (
         replace(one, name=f"{element}_{one.name}", symbol=f"{one.symbol} {element}", meaning=f"{one.meaning}, {element}")
         for one in part.states

@@ -136,7 +136,7 @@ class Iso8608(Section, Road):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the fields of a table: `class` becomes `road_class` (default C), and `band` becomes its two ends."""
+        """Returns a table as fields of the class: `class` becomes `road_class` (default C), and `band` becomes its two ends."""
         fields = {name: value for name, value in given.items() if name not in ("class", "band", "roughness")}
         if "road_class" not in given:
             fields["road_class"] = given.get("class", "" if {"iri", "gd"} & given.keys() else "C")

@@ -50,7 +50,7 @@ STEP_REFUSAL = "step is given, but the file has distances or more than two colum
 LIKE_DISTANCE = (0.2, 5.0)
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
-PLANES = (  # words for coordinates to the east and to the north; a path has one column of each
+PLANES = (  # words in headings for coordinates to the east and to the north; a path has one column of each type
     ("easting east rechtswert ostwert rw ost utmx", "northing north hochwert nordwert hw nord utmy"),
     ("e", "n"), ("x", "y"), DEGREES,
 )  # fmt: skip

@@ -66,7 +66,7 @@ class Road(ABC):
 
     @property
     def points(self) -> bytes | None:
-        """Data of the road that are too long for `describe`, as a CSV file; None if the description is complete."""
+        """Data of the road that are too long for `describe`, as the text of a CSV file; None if the description is complete."""
         return None
 
     @property

@@ -207,7 +207,7 @@ class SineSweep(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of both ends of the sweep [s]."""
+        """Times at which the sweep begins and ends [s]."""
         return (0.0, self.duration)
 
     @property

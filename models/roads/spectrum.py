@@ -80,7 +80,7 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
 
 
 def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """Returns the shares of two independent sources in the road velocity on every wheel's track, shape (F, r, 2).
+    """Returns the shares of two independent random sources in the road velocity on every wheel's track, shape (F, r, 2).
 
     The shares are relative to the amplitude of the road velocity at `N0`.
     """

@@ -328,7 +328,7 @@ class ImplementationSection(Implementation):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the section with the delay in samples, if the file gives the delay as a time."""
+        """Returns the section after converting a delay that the file gives as a time to samples."""
         delay, period = given.get("delay"), given.get("sample_period")
         if isinstance(delay, str) and (count := re.fullmatch(r"\s*(\d+\.?\d*) *samples?\s*", delay)):
             return {**given, "delay": float(count[1])}

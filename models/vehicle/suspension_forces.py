@@ -28,7 +28,7 @@ class SuspensionForces:
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
-        """Prepares the forces of N vehicles, or of one vehicle for any number of runs.
+        """Prepares the computation of the forces for N vehicles, or for one vehicle in any number of runs.
 
         Args:
             vehicles: the N vehicles, or one vehicle.
@@ -72,8 +72,8 @@ class SuspensionForces:
         Args:
             d: suspension deflections at the wheels [m], shape (..., N, s).
             v: rates of the deflections [m/s], shape (..., N, s).
-            inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal ones [N s/m], shape
-                (..., N, m).
+            inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal coefficients [N s/m],
+                shape (..., N, m).
             z: own states of the parts, shape (..., N, k).
         """
         pulls = None

@@ -282,7 +282,7 @@ class Vehicle(ShownResult):
         return replace(self, parameters=parameters, **fields)
 
     def adjusted(self, force: str) -> bool:
-        """Returns True if a semi-active damper replaces the passive damper at the place of a control force."""
+        """Returns True if a semi-active damper replaces the passive damper of the suspension on which a control force acts."""
         return force in self.dampers and self.dampers[force].replaces
 
     @cached_property
@@ -540,7 +540,7 @@ class Vehicle(ShownResult):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files that define the vehicle: the vehicle file, control laws, roads of peak bounds, and the vehicle type."""
+        """All files that define the vehicle: vehicle file, control laws, roads in peak bounds, and vehicle type."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.named_files, *(entry.source.path for entry in entries if entry.source.path))
         roads = named_files(road for entry in entries if entry.goals is not None for road in entry.goals.roads)
@@ -582,7 +582,11 @@ class Vehicle(ShownResult):
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
-        """Returns the vehicle after checking the combination of parameters and weights, unlike `dataclasses.replace`."""
+        """Returns the vehicle after checking the combination of parameters and weights, unlike `dataclasses.replace`.
+
+        Raises:
+            InputError: the combination is not a valid vehicle, or does not fit its characteristics, dampers or filters.
+        """
         parameters = self.kind.check(self.parameters)
         outputs = (*self.kind.full_model(parameters).outputs, *names_of(self.kind.of_parts))
         check_weights(self.performance, self.sums, outputs)

@@ -304,7 +304,7 @@ def newton(
 
 
 def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
-    """Returns the t > 0 that minimises slope t - sum of weights log(1 + t rates), by Newton's method within an interval."""
+    """Returns the t > 0 that minimises slope * t - sum(weights * log(1 + t * rates)), by Newton's method within an interval."""
     high = 1 / -rates.min() if rates.min() < 0 else np.inf
     low, t = 0.0, min(1.0, 0.5 * high)
     for _ in range(30):

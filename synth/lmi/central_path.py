@@ -175,7 +175,7 @@ def _border(step: float) -> str:
 
 
 def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoint:
-    """Converts a point of the path without the unobservable states to a point for the whole plant."""
+    """Converts a point of the path for the plant without its unobservable states to a point for the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
         return CentralPoint(part.completed_x(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
@@ -393,7 +393,7 @@ class _Path:
         )
 
     def point(self, X: Array, Y: Array, rest: float) -> CentralPoint:
-        """Returns a pair in the current coordinates as a point in the coordinates and units of the user."""
+        """Converts a pair (X, Y) in the current coordinates to a point in the coordinates and units of the user."""
         T = self.start @ self.V
         return CentralPoint(
             X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the unit of X follows from (21)

@@ -153,7 +153,7 @@ def bound_beyond_control(plant: Plant) -> LowerBound:
 
 
 def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
-    """Returns the lower bound from disturbances that no measurement contains, and from outputs that no force changes.
+    """Returns the lower bound that follows from disturbances without effect on measurements, and outputs that no force changes.
 
     Disturbances are considered at zero and infinite frequency, and outputs at infinite frequency. For a discrete plant, the
     bound is 0.

@@ -17,7 +17,7 @@ from synth.plant.numerics import DesignError, NoSolutionError
 
 @dataclass(frozen=True, eq=False)
 class LmiSolution:
-    """Solution that the solver returned: one point of the optimal face, up to the tolerance of the solver.
+    """Solution that the solver returned: one of the optimal points, up to the tolerance of the solver.
 
     Attributes:
         X: matrix of shape (n, n).

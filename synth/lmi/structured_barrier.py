@@ -8,9 +8,10 @@ with the unknowns X (symmetric and block diagonal), Y and p_N. Let P = S^-1. The
 [X; Y] along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L and
 a = R' P R. The derivative thus consists of products of entries of three small matrices.
 
-If S is nearly singular, the largest terms of the Hessian would hide the others in rounding errors. Therefore, the sums omit the
-part of P that belongs to the smallest eigenvalues of S. Householder reflections then add the rows of this part to the Cholesky
-factor of the sums. This method keeps as many digits as the QR decomposition of all rows in `barrier.py`.
+If S is nearly singular, the rounding errors of the largest terms of the Hessian would be larger than its other terms.
+Therefore, the sums omit the part of P that belongs to the smallest eigenvalues of S. Householder reflections then add the rows
+of this part to the Cholesky factor of the sums. This method keeps as many digits as the QR decomposition of all rows in
+`barrier.py`.
 """
 
 import functools

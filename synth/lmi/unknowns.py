@@ -20,8 +20,8 @@ class Basis:
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
 
     Attributes:
-        places: row and column indices in [X; Y] of all unknowns except the last, shapes (N - 1,). For the unknowns of X, these
-            are the indices on and above the diagonal.
+        places: row and column indices in [X; Y] of all unknowns except the last one, shapes (N - 1,). For the unknowns of X,
+            these are the indices on and above the diagonal.
         size: number N of unknowns.
     """
 

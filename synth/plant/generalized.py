@@ -350,7 +350,7 @@ class Plant:
         return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
-        """Returns an orthonormal basis W of the input combinations with an effect, shape (m, k); I if all have an effect."""
+        """Returns an orthonormal basis W of the input combinations that have an effect, shape (m, k); I if all of them do."""
         m = self.B.shape[1]
         sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
         together = np.vstack([self.B / sizes[0], self.D / sizes[1]])

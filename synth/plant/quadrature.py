@@ -79,8 +79,8 @@ def sample_band(
 
     Args:
         function: function of frequencies [rad/s] of shape (F,), which returns values of shape (F, ...).
-        checked: function of frequencies, shape (F,), and of the values of `function` at these frequencies. The function returns
-            c nonnegative integrands whose integrals must be accurate, shape (F, c).
+        checked: function of frequencies, shape (F,), and of the values that `function` has at these frequencies. The function
+            returns c nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
         poles: poles of the function [rad/s], complex, shape (n,). Near poles, panels are short.
         longest: largest length of a panel [rad/s].

@@ -25,7 +25,7 @@ def reachable(plant: Plant, free: int) -> Array:
     """Returns coordinates in which the inputs and the disturbance affect all states equally, with the block structure of (12).
 
     The coordinates are the square root of a controllability Gramian, block by block. For the Gramian, A is shifted so far that
-    all modes decay. The shift does not depend on the coordinates, so the result does not depend on them either.
+    all modes decay. Neither the shift nor the result depends on the coordinates.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)

@@ -22,7 +22,10 @@ class StopPair:
 
 @dataclass(frozen=True)
 class OfSides(Key):
-    """A value for both sides, or { bump = ..., rebound = ... } with a value for each side. An omitted side has no stop."""
+    """A value for both sides, or a table { bump = ..., rebound = ... } with a value for each side.
+
+    An omitted side has no stop.
+    """
 
     one: Key
     meaning: str = ""

@@ -9,9 +9,9 @@ If the file gives a stroke for a side, the argument of the table is the compress
 compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions, if the table
 has any.
 
-A section of `[limits]` has the name of a corner, or the common beginning of several names: `rear` means rear_left and
-rear_right. A key that is missing in a section is taken from the section for more corners. For example, `[limits.rear]` may
-define a stroke for the rear axle, and use the common stiffness.
+The name of a section in `[limits]` is the name of a corner, or the common beginning of several names. For example, `rear` means
+rear_left and rear_right. A key that is missing in a section is taken from the section for more corners. For example,
+`[limits.rear]` may define a stroke for the rear axle, and use the common stiffness.
 """
 
 import math

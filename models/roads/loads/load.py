@@ -48,7 +48,7 @@ class Load(ABC):
 
     @property
     def content(self) -> str:
-        """The text without the name of its file."""
+        """The text that defines the load, without the name of a file."""
         return self.text
 
     @property
@@ -164,7 +164,7 @@ def _mass(p: Parameters) -> float:
 
 
 class _Inertial(RampedLoad):
-    """Load due to the vehicle's own acceleration: the inertial force of the body acts at the height of its centre of mass."""
+    """Load due to the vehicle's own acceleration: the inertial force of the body, acting at its centre of mass."""
 
     way: ClassVar[str]
     size: ClassVar[str] = "g"
