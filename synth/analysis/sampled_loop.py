@@ -183,7 +183,7 @@ def _symmetric(matrix: Array) -> Array:
 def _root(matrix: Array) -> Array:
     """Returns L with L L' = matrix.
 
-    The matrix must be positive semidefinite up to rounding. Its rows may have different units.
+    The matrix must be positive semidefinite up to rounding. The rows of the matrix may have different units.
     """
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
@@ -199,8 +199,8 @@ class SampledLoop(CheckedFields):
 
         u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. Its energy is the sum of
-    its squares. It adds `noise` e to [u; s+], where `noise` is a matrix.
+    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is the sum
+    of the squares of its values. The noise adds `noise` e to [u; s+], where `noise` is a matrix.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.

@@ -26,8 +26,8 @@ this zero. Dual solutions then belong to the left deflating subspace of the othe
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
-Lambda exactly. Both are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on the axis
-up to rounding are ignored, which makes the bound weaker, but not invalid.
+Lambda exactly. L and Lambda are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on
+the axis up to rounding are ignored, which makes the bound weaker, but not invalid.
 """
 
 import math

@@ -134,7 +134,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit of the norm for fast sampling.
 
-    It is the norm of the continuous loop with actuator lag, from the road alone.
+    This limit is the norm of the continuous loop with actuator lag, from the road alone.
     """
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value

@@ -44,7 +44,10 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
 
 
 def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
-    """Returns the continuous loop of the sampled forces. Its plant includes the feedback of the forces that are not sampled."""
+    """Returns the continuous loop of the sampled forces.
+
+    The plant of this loop includes the feedback of the forces that are not sampled.
+    """
     plant, law, mine = loop.plant.part(loop.measured, loop.forces), loop.acting_law, np.isin(loop.forces, forces)
     if all_sampled(loop, forces):
         return replace(loop, plant=plant)

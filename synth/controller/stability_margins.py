@@ -285,7 +285,10 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:
-    """Returns the Kronecker sum of X and Y. Its eigenvalues are all sums of an eigenvalue of X and an eigenvalue of Y."""
+    """Returns the Kronecker sum of X and Y.
+
+    The eigenvalues of this sum are all sums of an eigenvalue of X and an eigenvalue of Y.
+    """
     identity = np.eye(len(X))
     return np.kron(X, identity) + np.kron(identity, Y)
 

@@ -181,15 +181,16 @@ class DesignResult(ShownResult):
         case: text about the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not degenerate.
         instead: text with the fallback method and the reason why the two steps found no gain; empty if they found a gain.
         state_step_gap: relative distance in gamma between the optimum of (22) and the point of the central path whose X gives L
-            (14). The distance is 0 at the limit of the path. It is larger if the second problem has no solution for the X at
-            the limit.
+            (14). The distance is 0 at the limit of the path. The distance is larger if the second problem has no solution for
+            the X at the limit.
         optimum_gap: relative distance in gamma between the gain and the optimum of its own problem. The distance is 0 at the
-            limit of the central path. It is larger if gains near the optimum have poles that are too fast for an actuator.
+            limit of the central path. The distance is larger if gains near the optimum have poles that are too fast for an
+            actuator.
         moved: last change of the gain along its central path, relative to the largest entry of the gain. This change is about a
-            hundred times the distance to the limit of the path. It is at most 4e-5 for the built-in cars, and for the two steps
-            of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a hundredfold
-            if the path parameter mu decreases by a factor of a hundred. The norm of such a gain is proved, but no digit of the
-            gain agrees with the optimal gain.
+            hundred times the distance to the limit of the path. This change is at most 4e-5 for the built-in cars, and for the
+            two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a
+            hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of such a gain is proved, but no
+            digit of the gain agrees with the optimal gain.
         origin: text about the starting point from which the search found the law; empty if there was no search.
         two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.
         starts: number of the other stable starts of this search.

@@ -128,10 +128,10 @@ def by_levels(
 
     Args:
         level: first level. Each later level is the norm that the law of the previous level reaches.
-        method: function that designs a law for the plant of a level, starting from the best law so far. It returns the law and
-            remarks.
-        ended: function of a norm, its level, and the lowest earlier norm. It returns True if another level would bring no
-            improvement.
+        method: function that designs a law for the plant of a level, starting from the best law so far. The function returns
+            the law and remarks.
+        ended: function of a norm, its level, and the lowest earlier norm. The function returns True if another level would
+            bring no improvement.
         best: a law that is already known, if any.
         levels: largest number of levels.
         higher: factor from one level to the next if no law was found.

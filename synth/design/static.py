@@ -6,9 +6,9 @@ minimum:
 
 - Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
   two steps. If few random gains are stable, stabilising gains are added. From all these gains, the search descends for a few
-  rounds. It continues from the best results for more rounds, and from the best result of all until it converges. The descent
-  (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that all
-  directions have a similar effect.
+  rounds. The search continues from the best results for more rounds, and from the best result of all until it converges. The
+  descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that
+  all directions have a similar effect.
 - Additional descents that start near the best gain.
 
 A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain,

@@ -62,7 +62,7 @@ class SharedDesignData:
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. It holds for any measurements without noise."""
+        """Lower bound on the norm from the invariant point. This bound holds for any measurements without noise."""
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
@@ -144,7 +144,7 @@ class Designer:
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. It holds for any measurements."""
+        """Lower bound on the norm from the invariant point. This bound holds for any measurements."""
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:

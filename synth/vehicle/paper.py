@@ -5,8 +5,8 @@ reference [33] of the paper, (25) has a solution for controller I, but none for 
 because the road velocity would require an additional state. The output z is the same.
 
 Remark 5: in reference [19] of the paper, controller I was found by a genetic algorithm. Here,
-`scipy.optimize.differential_evolution` represents this type of search. It uses only the norm of each gain, and searches within
-a given box of gains. The result depends on the box and on the seed.
+`scipy.optimize.differential_evolution` represents this type of search. This search uses only the norm of each gain, within a
+given box of gains. The result depends on the box and on the seed.
 """
 
 import math

@@ -83,7 +83,7 @@ class Verification:
         return tuple(specifications)
 
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
-        """Returns the specifications of a norm over the family: without gain errors and, if there are any, with the worst ones."""
+        """Returns the specifications of a norm over the family: without gain errors and, if there are any, with errors."""
         of = [_norm(member.plants[spec.which], self.K, spec) for member in self.problem.members]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]

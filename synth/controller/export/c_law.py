@@ -11,7 +11,7 @@ The computation in each sample has these steps:
 6. The outputs that were computed `delay` samples earlier are returned.
 
 A force or a state that overflows is set to 0. C and Python perform the same operations in the same order and number format.
-Their results are therefore equal bit for bit.
+The results of C and Python are therefore equal bit for bit.
 """
 
 import re
@@ -257,7 +257,7 @@ def _ranges(
 
 @dataclass
 class PythonStep:
-    """Exported computation in Python, whose results equal those of the C code bit for bit.
+    """Exported computation in Python, whose results equal the results of the C code bit for bit.
 
     Attributes:
         law: exported law.

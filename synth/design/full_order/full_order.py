@@ -138,8 +138,8 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
     return [each for each in points if each is not None]
 
 
-# fastest allowed pole of a discrete loop, as a multiple of 1/dt in the continuous counterpart. It corresponds to z = -1/3,
-# twice as fast as z = 0. An actuator that sets a force at each sample can follow
+# fastest allowed pole of a discrete loop, as a multiple of 1/dt in the continuous counterpart. This pole corresponds to z =
+# -1/3, twice as fast as z = 0. An actuator that sets a force at each sample can follow
 DEADBEAT = 4.0
 
 

@@ -39,7 +39,9 @@ LITTLE = 1e-6  # in the plant's internal units; a smaller noise or cost may be t
 
 
 def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
-    """Designs the state feedback u = K x that minimises the mean square of z. It is the same for every disturbance matrix `Bw`.
+    """Designs the state feedback u = K x that minimises the mean square of z.
+
+    The gain K is the same for every disturbance matrix `Bw`.
 
     Args:
         plant: generalised plant with n states and m inputs.
@@ -207,7 +209,7 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
     """Designs the law that minimises the mean square of z. `value` of the result is the H2 norm.
 
     The H2 norm is computed for the given plant with white noise w and the noise of LQG, without regularisation and without Dw.
-    The certificate applies to the worst-case w. It excludes the noise of LQG, because white noise has no finite rms.
+    The certificate applies to the worst-case w. The certificate excludes the noise of LQG, because white noise has no finite rms.
 
     Args:
         noise: feedthrough from additional white noise to y, shape (q, k); this noise affects only the mean square.

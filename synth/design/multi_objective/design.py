@@ -45,7 +45,7 @@ class MultiObjectiveDesign:
     def unproved(self) -> tuple[int, ...]:
         """Indices of the members whose stability is not proved for all errors within the tolerance.
 
-        They are computed at first use.
+        The indices are computed at first use.
 
         If there are no errors, the poles of a loop prove its stability. None of the errors found in the search makes a loop
         unstable.

@@ -225,7 +225,7 @@ def objectives_of(
 
     Args:
         full: landscape whose scales define the points of all terms.
-        errors: gain errors. They apply to norms and to the decay rate; peaks are computed without errors.
+        errors: gain errors, for norms and for the decay rate; peaks are computed without errors.
         rate: required decay rate [rad/s]; 0 if there is no requirement.
     """
     goals: list[Term] = []

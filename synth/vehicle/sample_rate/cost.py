@@ -41,7 +41,7 @@ def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: fl
         delay: delay from a measurement to the force computed from it [samples].
 
     Returns:
-        The sample period [s]; 0 if the loop is unstable even at the highest rate.
+        Shortest unstable sample period [s]; 0 if the loop is unstable even at the highest rate.
     """
 
     def kept(period: float) -> bool:

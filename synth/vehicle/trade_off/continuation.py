@@ -2,7 +2,8 @@
 
 A point u of the plane through the ends determines a ray. The design on this ray minimises the largest v_k / u_k, where v_k is
 the norm of axis k (Chebyshev's scalarisation). Every point of the front lies on a ray, whether the front is convex or not. Each
-descent works as in a design for goals. It starts at the known design that is best for the ray, so that the descent is short.
+descent works as in a design for goals. The descent starts at the known design that is best for the ray, so that the descent is
+short.
 """
 
 from collections.abc import Iterator, Sequence

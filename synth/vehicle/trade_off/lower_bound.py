@@ -1,6 +1,6 @@
 """Joint lower bounds on two norms.
 
-They are proved for all controllers, even for controllers that measure all states and the road.
+The bounds are proved for all controllers, even for controllers that measure all states and the road.
 
 For any controller, the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
 the norms of z_i and z_j. Let g be a lower bound on the norm of the stack for some weights a and b. No controller therefore lies
