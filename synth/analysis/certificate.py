@@ -130,7 +130,7 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
 
 FASTEST = 100.0  # a loop whose fastest pole exceeds this multiple of the plant's speed needs faster actuators than usual
 SLOWEST = 1e-7  # slowest useful decay, as a multiple of the plant's speed: 1 s compared with 100 days
-BELOW = 1e-9  # relative amount by which rounding may put a computed norm below the lower bound
+BELOW = 1e-9  # rounding may put a computed norm below the lower bound by this relative amount
 # allowed relative difference between the norms of the two methods; about 1e-12 for a well-conditioned plant
 ROUTES_AGREE = 1e-6
 # allowed relative difference between the norm and the gain at the claimed peak; near a peak, the gain is flat

@@ -13,7 +13,7 @@ Both methods evaluate the same transfer function. A modal form of the system, wh
 frequencies. The returned gains are computed without the modal form, by solving a linear system of equations.
 
 The rounding error of the gains is bounded to first order. The bound is large if a very large gain G causes both fast and slow
-poles of the loop A + B G. In this case, both methods refine their results with twice the digits, starting from the loop before
+poles of the loop A + B G. In this case, both methods refine their results with twice the precision, starting from the loop before
 rounding.
 """
 
@@ -32,7 +32,7 @@ from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_produc
 from synth.plant.generalized import Plant
 
 ZOOMS = 6  # tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
-CLOSE_ZOOMS = 8  # tenfold refinements with twice the digits; the gain is then accurate to 1e-16
+CLOSE_ZOOMS = 8  # tenfold refinements with twice the precision; the gain is then accurate to 1e-16
 WITHIN = 1e-4  # frequency step for fitting a parabola to a peak, relative to the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
 ALIKE = 1e-9  # largest error of the modal form, relative to the largest gain, for which it may propose frequencies
@@ -46,7 +46,7 @@ def largest_singular_values(T: Array) -> Array:
     if square.shape[1] == 2:  # solves a quadratic equation for its larger root, which has no cancellation
         a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
         return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
-    # squaring the matrix costs the largest singular value no digits
+    # squaring the matrix does not reduce the accuracy of its largest singular value
     return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
 
@@ -72,9 +72,9 @@ def _smaller_square(T: Array) -> Array:
 
 
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
-    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of the error.
+    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the precision, and an estimate of the error.
 
-    The residual of the linear system is computed with twice the digits, and the solution is corrected until it converges.
+    The residual of the linear system is computed with twice the precision, and the solution is corrected until it converges.
     Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned
     that a solution in floats has no correct digit.
 
@@ -179,12 +179,12 @@ class Gain:
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
     def rounded(self, omega: Array) -> float:
-        """Returns the largest rounding error of `at` at frequencies [rad/s], measured with twice the digits."""
+        """Returns the largest rounding error of `at` at frequencies [rad/s], measured with twice the precision."""
         gains, missing = self.at_double_double(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
     def at_double_double(self, omega: Array) -> tuple[Array, Array]:
-        """Returns `at` computed with twice the digits, and bounds on its error, both of shape (F,)."""
+        """Returns `at` computed with twice the precision, and bounds on its error, both of shape (F,)."""
         T, missing = transfer_matrix_closely(self.system, omega)
         return largest_singular_values(T), missing
 
@@ -203,7 +203,7 @@ class Gain:
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns the same as `grid_error`, but computed with twice the digits.
+        """Returns the same as `grid_error`, but computed with twice the precision.
 
         This method is used if rounding may have moved poles and misled the search.
 
@@ -221,7 +221,7 @@ class Gain:
         return float(lowest**-0.5 - 1)
 
     def refined_peak(self, at: float) -> tuple[float, float]:
-        """Returns the highest gain near `at` [rad/s] or near any pole, with twice the digits, and its frequency [rad/s]."""
+        """Returns the highest gain near `at` [rad/s] or near any pole, with twice the precision, and its frequency [rad/s]."""
         omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         omega = self.within(omega)
         gains, _ = self.at_double_double(omega)
@@ -272,7 +272,7 @@ class Gain:
 
 EXACT = 1e-10  # the search ends if no gain exceeds the best gain by more than this relative amount
 REFINED_PEAKS = 2  # number of the highest peaks near poles that are refined before the first level is tested
-SEEN = 1e-9  # relative rounding error above which a norm is computed again with twice the digits
+SEEN = 1e-9  # relative rounding error above which a norm is computed again with twice the precision
 CLEAR = 1.1  # smallest level at which the Hamiltonian matrix is well conditioned, as a multiple of the gain at infinity
 
 
@@ -369,7 +369,7 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 
 
 def gain_at(system: Plant, omega: float) -> float:
-    """Returns the largest singular value at the frequency omega [rad/s], computed with twice the digits."""
+    """Returns the largest singular value at the frequency omega [rad/s], computed with twice the precision."""
     if system.dt is not None:
         discrete = FEATURES.load("discrete plants")
         at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2

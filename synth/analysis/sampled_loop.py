@@ -183,7 +183,7 @@ def _symmetric(matrix: Array) -> Array:
 def _root(matrix: Array) -> Array:
     """Returns L with L L' = matrix.
 
-    The matrix must be positive semidefinite up to rounding. Its rows may have different units.
+    The matrix must be positive semidefinite up to rounding. The rows of the matrix may have different units.
     """
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
@@ -199,8 +199,8 @@ class SampledLoop(CheckedFields):
 
         u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. Its energy is the sum of
-    its squares. It adds `noise` e to [u; s+], where `noise` is a matrix.
+    where u_a is the force that acts at the end of the period. The measurement noise is a sequence e. The energy of e is the sum
+    of the squares of its values. The noise adds `noise` e to [u; s+], where `noise` is a matrix.
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -400,8 +400,8 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    In addition to the states of the plant, the discrete plant of a level has states for previous forces that are still delayed
-    or part of a measurement, the latest force first. Gains do not act on these states. A controller that uses its own previous
+    The discrete plant of a level has the states of the plant, and states for previous forces that are still delayed or part of
+    a measurement. The latest force comes first. Gains do not act on these states. A controller that uses its own previous
     output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its

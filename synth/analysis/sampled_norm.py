@@ -101,7 +101,8 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)
-    # w is the first of a chain of k integrators. Their initial values are the derivatives of w, in units of the part's length.
+    # w is the first of a chain of k integrators. The initial values of the integrators are the derivatives of w, in units of
+    # the part's length.
     derivatives = np.zeros((k, k))
     for j in range(k):
         polynomial = legendre.Legendre.basis(j, domain=[0, 1]) * math.sqrt((2 * j + 1) / h)

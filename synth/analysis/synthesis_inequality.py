@@ -13,9 +13,9 @@ rows of F' give the states that follow from y and its derivatives whatever w is.
 X can also grow without bound along stable states that are unobservable in z.
 
 **Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
-He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. For a discrete plant, inputs that
-do not appear in z do not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F
-contains the states that inputs can bring to zero within some samples while z is zero.
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs that do not appear in z do
+not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the states
+that inputs can bring to zero within some samples while z is zero.
 
 All ranks are determined in integers from the given numbers, without tolerances. The result therefore depends neither on the
 magnitude of a direction nor on the units of states, inputs, time, w and z.
@@ -26,8 +26,8 @@ this zero. Dual solutions then belong to the left deflating subspace of the othe
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
-Lambda exactly. Both are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on the axis
-up to rounding are ignored, which makes the bound weaker, but not invalid.
+Lambda exactly. L and Lambda are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on
+the axis up to rounding are ignored, which makes the bound weaker, but not invalid.
 """
 
 import math

@@ -117,8 +117,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - steps.state_step_gap))
         X = start.X / np.outer(units.states, units.states)
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
-    # The problem is written in the coordinates of (12) and in units that make all numbers similar to 1. Otherwise, Clarabel
-    # fails for a full car.
+    # The problem is written in the coordinates of (12) and in units that make all numbers similar to 1. In other coordinates
+    # and units, Clarabel fails for a full car.
     a, T = Q.shape[1], np.hstack([Q, R])
     plant = units.into(problem.plant).in_coordinates(T)
     scaling = reachable(plant, a)

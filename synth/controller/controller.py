@@ -320,8 +320,8 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 def on_readings(law: LinearLaw, problem: Problem) -> LinearLaw:
     """Converts a law designed for C_y x to a law for the sensor signals, in which accelerations contain the control force.
 
-    If the force is measured, it is subtracted from the measurements. Otherwise, the law is changed so that the closed loop
-    remains the same. Integrals of measurements become states of the law.
+    If the force is measured, it is subtracted from the measurements. If the force is not measured, the law is changed so that
+    the closed loop remains the same. Integrals of measurements become states of the law.
 
     Args:
         law: law from the measured signals that depend on the state.

@@ -67,8 +67,8 @@ def equivalent_line(
     Args:
         vehicle: vehicle with nonlinear characteristics.
         controller: linear controller.
-        deviations: function that takes a linear vehicle and the names of k signals. It returns the standard deviations of these
-            signals over the road, shape (k,), or None if the loop is unstable.
+        deviations: function that takes a linear vehicle and the names of k signals. The function returns the standard
+            deviations of these signals over the road, shape (k,), or None if the loop is unstable.
     """
     if without_curve(vehicle):
         return None

@@ -1,12 +1,12 @@
 """Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by named signals.
 
 The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. The section of a controller may
-add sensor noise and loads on the body, which are disturbances in addition to the road. It may also add actuator lag, whose
-states are added to the states of the vehicle.
+add sensor noise and loads on the body, which are disturbances in addition to the road. The section may also add actuator lag,
+whose states are added to the states of the vehicle.
 
 If z contains the integral of a signal, this integral is a state of the plant. The integral counts as measured if its signals
-are measured, because a law can integrate its measurements as the plant does. The first states of such a law are then also
-states of the plant, and the closed loop contains them only once (`integral_action.py`).
+are measured, because a law can integrate its measurements as the plant does. The first states of this law are then also states
+of the plant, and the closed loop contains them only once (`integral_action.py`).
 
 A law in a theoretical study may measure heights above the datum of a flat road. These heights contain the road height z_r,
 which then acts on the vehicle through the law:
@@ -382,7 +382,7 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
             )
 
 
-SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its relative size is smaller
+SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its relative size is smaller than this
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:
@@ -437,8 +437,8 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     """Returns the effects of the road's warp on the states and on signals, shapes (n, k) and (len(signals), k).
 
     If the warp were the integral of a road velocity, its effect could be unbounded, because a constant warp has a lasting
-    effect. The warp is therefore a separate disturbance. It is scaled by the rate of wheel hop (`LinearModel.twist_rate`), so
-    that a bound holds for warp and road velocities together.
+    effect. The warp is therefore a separate disturbance. The warp is scaled by the rate of wheel hop
+    (`LinearModel.twist_rate`), so that a bound holds for warp and road velocities together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)

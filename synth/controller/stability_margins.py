@@ -70,7 +70,7 @@ class Margins:
 
     Attributes:
         gain: smallest factor above 1 at which the loop is unstable.
-        gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is none.
+        gain_lower: largest factor below 1 at which the loop is unstable; 0 if no such factor exists.
         crossovers: all crossovers, ordered by increasing delay. The first crossover gives the delay margin.
         sample_period: shortest sample period at which the loop is unstable [s].
         disk: disk margin, for complex factors on the forces.
@@ -285,7 +285,10 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:
-    """Returns the Kronecker sum of X and Y. Its eigenvalues are all sums of an eigenvalue of X and an eigenvalue of Y."""
+    """Returns the Kronecker sum of X and Y.
+
+    The eigenvalues of this sum are all sums of an eigenvalue of X and an eigenvalue of Y.
+    """
     identity = np.eye(len(X))
     return np.kron(X, identity) + np.kron(identity, Y)
 

@@ -124,7 +124,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> l
 def controller_of(
     vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, problem: DesignProblem, result: DesignResult
 ) -> Controller:
-    """Returns the controller that follows from the result of a design. Its law acts on the sensor signals."""
+    """Returns the controller that follows from the result of a design. The law of the controller acts on the sensor signals."""
     law, remarks = problem.as_run(result.law), result.remarks
     redundant = tuple(entry.measured[i] for i in result.redundant if i < len(entry.measured))
     if entry.request.sampled:

@@ -62,7 +62,7 @@ class SharedDesignData:
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. It holds for any measurements without noise."""
+        """Lower bound on the norm from the invariant point. This bound holds for any measurements without noise."""
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
@@ -144,7 +144,7 @@ class Designer:
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. It holds for any measurements."""
+        """Lower bound on the norm from the invariant point. This bound holds for any measurements."""
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
@@ -180,7 +180,7 @@ class Designer:
 
         Args:
             name: name of a controller of the vehicle file, or `passive` or `state`.
-            zero_l: for an output-feedback design in two steps, True to use L = 0 instead of (14), as in remark 4 of the paper.
+            zero_l: True to use L = 0 instead of (14) in the two steps of an output-feedback design, as in remark 4 of the paper.
             on_progress: function that is called with the progress of a design for goals.
 
         Returns:

@@ -179,7 +179,7 @@ def goals_design(
         vehicle: vehicle with the section.
         entry: controller's section.
         goals: goals of the section.
-        plant_problem: control problem for the certificate, whose z is that of `[performance]` at all frequencies.
+        plant_problem: control problem for the certificate; z is defined in `[performance]` and weighted at all frequencies.
         lower_bound: lower bound on the norm for any controller with these measurements.
         on_progress: function that is called with the progress of the search.
 
@@ -190,7 +190,8 @@ def goals_design(
         DesignError: no controller was found.
     """
     problem = goal_problem(vehicle, entry, goals)
-    # The ratios of the norms to the individual optima are reported for every family. They are minimised if the goals request it.
+    # The ratios of the norms to the individual optima are reported for every family. The ratios are minimised if the goals
+    # request it.
     bests = with_individual_optima(problem) if goals.family else problem
     certify = certify_ideal_loop(plant_problem, lower_bound)
     asked = DesignProblem(plant_problem.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
@@ -224,7 +225,7 @@ def verify_specifications(
         entry: controller's section.
         goals: goals of the section.
         law: static law of the section.
-        search: for a family, True to include the ratio of the norm to each vehicle's individual optimum, which requires
+        search: True to include, for a family, the ratio of the norm to each vehicle's individual optimum. This ratio requires
             additional designs.
 
     Raises:

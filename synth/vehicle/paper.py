@@ -5,8 +5,8 @@ reference [33] of the paper, (25) has a solution for controller I, but none for 
 because the road velocity would require an additional state. The output z is the same.
 
 Remark 5: in reference [19] of the paper, controller I was found by a genetic algorithm. Here,
-`scipy.optimize.differential_evolution` represents this type of search. It uses only the norm of each gain, and searches within
-a given box of gains. The result depends on the box and on the seed.
+`scipy.optimize.differential_evolution` represents this type of search. This search uses only the norm of each gain, within a
+given box of gains. The result depends on the box and on the seed.
 """
 
 import math
@@ -117,7 +117,7 @@ TO_RELATIVE = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 
 ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states (30) are TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
 BOX = 2e4  # largest allowed entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
 SEED = 1
-TOLERANCE = 1e-6  # the search ends if the relative spread of norms in the population is smaller
+TOLERANCE = 1e-6  # the search ends if the relative spread of norms in the population is smaller than this
 UNSTABLE = 1e6  # value for an unstable loop: far above the norms of stable loops, and larger if the loop grows faster
 
 

@@ -111,7 +111,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         system: `control.StateSpace`, or an object with A, B, C and D. If it is discrete, `dt` is its sample period [s].
 
     Returns:
-        Controller with its certificate. Its law is the given system, unchanged.
+        Controller with its certificate. The law of the controller is the given system, unchanged.
 
     Raises:
         InputError: a signal, the shape of a matrix, an entry or the sample period does not fit the vehicle.

@@ -13,8 +13,8 @@ from synth.controller.export.c_law import LARGEST, NEAREST, STILL, ExportedLaw
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"
 
-# C source of each law, by name. It computes the coefficient `c` from the velocities of body and wheel, their difference `v`,
-# and a third measurement
+# C source of each law, by name. The source computes the coefficient `c` from the velocities of body and wheel, their difference
+# `v`, and a third measurement
 SEMI_ACTIVE = {
     "skyhook": "c = ((body * v) > ZERO) ? C_MAX : C_MIN;",
     "skyhook_linear": "c = ((body * v) > ZERO) ? (-(-SKY * body) / over) : C_MIN;",
@@ -303,7 +303,7 @@ class CSource:
 
         Args:
             total: name of the C variable for the sum.
-            products: for each product, the name of the table, the name of the vector, and its number of entries. Empty vectors
+            products: name of the table, name of the vector, and number of entries of the vector, for each product. Empty vectors
                 are omitted.
         """
         start, lines = "0" if self.fixed is not None else self.zero, list[str]()

@@ -52,7 +52,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
 
     Args:
         vehicle: vehicle that the law controls.
-        law: exported law. Its C prefix must not occur elsewhere in the sources of an FMU.
+        law: exported law. The C prefix of the law must not occur elsewhere in the sources of an FMU.
         certificate: SHA-256 of the certificate file.
     """
     code, m = CSource(law, certificate), len(law.outputs)

@@ -18,7 +18,7 @@ from synth.plant.state_space import StateSpace
 def vehicle_system(vehicle: Vehicle) -> StateSpace:
     """Returns the linear vehicle with actuator lag.
 
-    Its inputs are roads, loads and requested forces; its outputs are its signals.
+    The inputs are roads, loads and requested forces. The outputs are the signals of the vehicle.
     """
     model = vehicle.linear_model
     outputs = [name for name in model.outputs if name not in model.inputs]

@@ -37,9 +37,9 @@ def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
 def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
     """Returns the bytes of a MAT-file with a struct for each controller, and the struct `vehicle` with the plant.
 
-    The struct of a controller contains A, B, C, D, Ts (0 if continuous) and the names and units of its inputs and outputs. It
-    also contains `gain`, which is the feedthrough, and `certificate`, which contains the norm, bound, lower bound and X. If the
-    vehicle file has a sample period, `sampled` contains the matrices of the discrete implementation.
+    The struct of a controller contains A, B, C, D, Ts (0 if continuous) and the names and units of its inputs and outputs. The
+    struct also contains `gain`, which is the feedthrough, and `certificate`, which contains the norm, bound, lower bound and X.
+    If the vehicle file has a sample period, `sampled` contains the matrices of the discrete implementation.
     """
     for one in controllers:
         check_feedback_alone(one, "a file for MATLAB")

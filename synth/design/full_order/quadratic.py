@@ -39,7 +39,9 @@ LITTLE = 1e-6  # in the plant's internal units; a smaller noise or cost may be t
 
 
 def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
-    """Designs the state feedback u = K x that minimises the mean square of z. It is the same for every disturbance matrix `Bw`.
+    """Designs the state feedback u = K x that minimises the mean square of z.
+
+    The gain K is the same for every disturbance matrix `Bw`.
 
     Args:
         plant: generalised plant with n states and m inputs.
@@ -86,7 +88,7 @@ def lqg_design(
         InputError: C_y or the noise does not fit the plant; otherwise as for `lqr_design`.
         InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
             be stabilised.
-        DesignError: as for `lqr_design`, or w does not excite a mode that does not decay.
+        DesignError: w does not excite a mode that does not decay, or an error of `lqr_design` occurs.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -120,7 +122,7 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
         A law with as many states as the plant, its certificate, and its H2 norm.
 
     Raises:
-        InputError, InfeasibleError, DesignError: as for `lqg_design`.
+        InputError, InfeasibleError, DesignError: an error of `lqg_design` occurs.
 
     Example:
         >>> from synth import GeneralizedPlant, h2_design
@@ -139,7 +141,7 @@ def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
 
     Raises:
         DesignError: LQR was requested, but not every state is measured.
-        InputError, InfeasibleError, DesignError: as for `lqr_design`, `lqg_design` and `h2_design`.
+        InputError, InfeasibleError, DesignError: an error of `lqr_design`, `lqg_design` or `h2_design` occurs.
     """
     plant, states = problem.plant, problem.states
     if problem.design == "lqr":
@@ -207,7 +209,7 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
     """Designs the law that minimises the mean square of z. `value` of the result is the H2 norm.
 
     The H2 norm is computed for the given plant with white noise w and the noise of LQG, without regularisation and without Dw.
-    The certificate applies to the worst-case w. It excludes the noise of LQG, because white noise has no finite rms.
+    The certificate applies to the worst-case w. The certificate excludes the noise of LQG, because white noise has no finite rms.
 
     Args:
         noise: feedthrough from additional white noise to y, shape (q, k); this noise affects only the mean square.

@@ -1,6 +1,6 @@
 """Search for a full-order controller by Riccati equations: a norm near the lower bound, or a trade-off of norm and speed.
 
-The equations are those of Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
+The equations are from Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1. The names
 follow this book: D11 = Dw, D12 = D, D21 = Dyw, and X, Y, F, H with and without hats. The equations require D and Dyw of full
 rank, and no zero from u to z or from w to y on the imaginary axis. If D11 is not zero, the equations require D12 = [0; I] and
 D21 = [0 I]. Therefore z and w are rotated, u and y are scaled, and the result is transformed back. If gamma is close to the
@@ -14,15 +14,16 @@ The order of a law is reduced in two ways. Neither way guarantees a good loop, s
   These modes are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
-infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. Their size is a share of the
-plant's internal units, in which the same share suits all signals. Small disturbances and weights are also added to all states.
-The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances and outputs:
+infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. The size of the added noise and
+cost is a share of the plant's internal units, in which the same share suits all signals. Small disturbances and weights are
+also added to all states. The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances
+and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
 A larger share gives a slower controller. The share is therefore reduced until the required gamma is reached, which gives the
-slowest controller with this gamma. If no share reaches this gamma, or only with controllers that are too fast for an actuator,
-the search returns the trade-off between norm and speed: the smallest gamma for each share.
+slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an actuator, the
+search returns the trade-off between norm and speed. This is the smallest gamma for each share.
 
 If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
 equally good. Each law that is too fast is therefore also tried without its fast poles.
@@ -49,7 +50,7 @@ from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
 
-RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual, relative to the largest term, is smaller
+RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual, relative to the largest term, is smaller than this
 NEGATIVE = 1e-9  # relative to the largest eigenvalue; rounding may make a zero eigenvalue negative by this amount
 EDGE = 1e-9  # a spectral radius whose relative distance from gamma^2 is smaller counts as too large
 
@@ -230,7 +231,7 @@ def _root(A: Array, B: Array) -> Array:
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller
+WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller than this
 # shares: added noise and cost, relative to the disturbance of the states and to the weight of the states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
 STATES = 0.1  # additional disturbance and weight of all states, as a multiple of the share
@@ -339,7 +340,7 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """Returns the slow enough controller with the smallest `trouble` among those of nearly the smallest cost, or None.
+    """Returns the slow enough controller with the smallest `trouble` and nearly the smallest cost, or None.
 
     Args:
         trade: controllers in any order.

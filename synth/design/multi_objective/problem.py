@@ -213,7 +213,7 @@ class MultiObjectiveProblem(CheckedFields):
 
 
 TIGHTER = 1e-7  # relative margin by which bounds are tightened, to allow for rounding
-# relative amount by which the required decay rate is raised if there are errors; at the bound itself, nothing can be proved for
+# relative amount by which the required decay rate is raised if there are errors. At the bound itself, nothing can be proved for
 # a whole box of errors
 AND_FOR_ERRORS = 0.02
 
@@ -225,7 +225,7 @@ def objectives_of(
 
     Args:
         full: landscape whose scales define the points of all terms.
-        errors: gain errors. They apply to norms and to the decay rate; peaks are computed without errors.
+        errors: gain errors, for norms and for the decay rate; peaks are computed without errors.
         rate: required decay rate [rad/s]; 0 if there is no requirement.
     """
     goals: list[Term] = []

@@ -269,7 +269,7 @@ def _real_product(a: Array, b: Array) -> Array:
 def _finite(rates: Array) -> Array:
     """Returns the rates with infinite values replaced by zero.
 
-    They occur at vertical edges of the road, where cubics are not used.
+    Infinite rates occur at vertical edges of the road, where cubics are not used.
     """
     return np.where(np.isfinite(rates), rates, 0.0)
 

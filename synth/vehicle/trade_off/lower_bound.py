@@ -1,6 +1,6 @@
 """Joint lower bounds on two norms.
 
-They are proved for all controllers, even for controllers that measure all states and the road.
+The bounds are proved for all controllers, even for controllers that measure all states and the road.
 
 For any controller, the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
 the norms of z_i and z_j. Let g be a lower bound on the norm of the stack for some weights a and b. No controller therefore lies
@@ -8,9 +8,9 @@ in the ellipse
 
     a^2 v_i^2 + b^2 v_j^2 < g^2.
 
-The bounds for many weights together give a curve. If the bound comes from a direction of z that no control force can change at
-some frequency of a band, it also holds for a norm in this band. The weights are powers of two, so that the numbers of the plant
-are not rounded. The proofs, which are exact, then apply to the plant itself.
+The bounds for many weights together give a curve. The bound also holds for the norm in a band if, at a frequency of the band,
+no control force can change a direction of z. The weights are powers of two, so that the numbers of the plant are not rounded.
+The proofs, which are exact, then apply to the plant itself.
 """
 
 import contextlib
