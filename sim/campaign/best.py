@@ -52,7 +52,7 @@ class Request:
 
     @property
     def words(self) -> str:
-        """Text that lists the limits, such as "peak_travel <= 0.08 m"; empty without limits."""
+        """Text that lists the limits, such as "peak_travel <= 0.08 m"; empty if there are no limits."""
         return " and ".join(f"{name} <= {limit:g} {self.units[name]}".rstrip() for name, limit in self.limits.items())
 
 
@@ -123,7 +123,7 @@ class Choice:
 
 
 def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
-    """Returns the request of `--best` and `--subject-to`; None without `--best`.
+    """Returns the request of `--best` and `--subject-to`; None if `--best` is not given.
 
     Raises:
         InputError: a metric is unknown or missing for a vehicle, a limit is not a number, or options cannot be combined.

@@ -58,8 +58,9 @@ class RunBlock:
         start: number of the first run.
         vehicle, controller: names in the campaign file.
         road, speed: road, and speed [m/s].
-        variants: for each variant, the sampled values of the law by key; None if the law is not sampled.
-        samples: for each sample, the sampled parameters of the vehicle by name [SI]; a single empty sample if none are sampled.
+        variants: sampled values of the law by key, one mapping for each variant; None if the law is not sampled.
+        samples: sampled parameters of the vehicle by name [SI], one mapping for each sample; a single empty sample if none are
+            sampled.
         seeds: seeds of the road; only the first seed if the road is not random.
     """
 

@@ -137,7 +137,7 @@ class Store:
         self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns the columns with these names. They contain all rows that exist so far.
+        """Returns the columns with these names. The columns contain all rows that exist so far.
 
         Raises:
             InputError: a file is damaged, or another version of Roadproof wrote it with other columns.

@@ -136,8 +136,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
     """Returns statistics of the worst metric: value over all runs, standard error, 95th percentile and prediction.
 
-    Runs without metrics do not count. All entries are None if the vehicle type has none of these columns: a vehicle without a
-    suspension, for example, has no travel.
+    Runs without metrics do not count. All entries are None if these columns do not exist for the vehicle type. For example, a
+    vehicle without a suspension has no travel.
 
     Args:
         columns: columns of the results by name, shape (count,) each.

@@ -114,8 +114,8 @@ def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
 def _shares(count: int, threads: int) -> list[slice]:
     """Splits the runs evenly among threads.
 
-    Each thread has its own batch. This is faster than a single batch on all threads. The threads of a single batch would wait for
-    each other at each step, and for Python code.
+    Each thread has its own batch. Separate batches are faster than a single batch on all threads. The threads of a single batch
+    would wait for each other at each step, and for Python code.
     """
     shares = min(threads, count // FEWEST)
     if shares <= 1:

@@ -10,8 +10,8 @@ Here E is the kinetic and potential energy. The residual of this equation is due
 The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the lengths l and
 rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear
 in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
-tyre leaves the road. The force then has a kink, and the residual is only of about second order. This also applies to the knots of
-characteristics.
+tyre leaves the road. The force then has a kink, and the residual is only of about second order. The knots of characteristics have
+the same effect.
 
 E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
 file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. So does any force in

@@ -6,9 +6,9 @@ characteristics, bump stops, tyres in the air and forces at their limits. Every 
 one step cannot hide an error in another, and all steps can be computed together. Forces and damper coefficients are the commands
 of the controller, with the limits and the lag of the vehicle file.
 
-The state and the forces at a sample also determine all other output signals. These are accelerations at the beginning of the
-step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals must also be the
-same.
+The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
+beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals
+must also be the same.
 """
 
 from collections.abc import Mapping

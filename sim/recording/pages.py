@@ -167,7 +167,7 @@ def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
 
 
 def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
-    """Returns the signals of runs by page, without those of the road.
+    """Returns the signals of runs by page, without the road signals.
 
     The groups are the overview, all other signals and, for a single run, the states of its controller.
 

@@ -101,8 +101,8 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     """Returns the table of a controller's gains with a row per measured signal; None if the controller measures nothing.
 
-    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. It contains
-    the amplitude of the force, or of all forces together, as in a Bode plot.
+    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. Its cells
+    contain the amplitude of the force, or of all forces together, as in a Bode plot.
     """
     if not controller.measured:
         return None

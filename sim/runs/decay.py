@@ -1,9 +1,9 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 In a linear loop, the modes determine the motion from sample to sample. A constant matrix therefore maps the state signals at a
-few successive samples to their values one sample later. This matrix is found by least squares, and its eigenvalues are those of
-the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With characteristics
-or large angles, the result is the linear loop that fits the whole decay best.
+few successive samples to their values one sample later. This matrix is found by least squares. Its eigenvalues are the
+eigenvalues of the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With
+characteristics or large angles, the result is the linear loop that fits the whole decay best.
 """
 
 import math

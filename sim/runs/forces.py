@@ -16,7 +16,9 @@ from sim.drive.response import Response
 
 
 def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
-    """Returns the loads over time: their sum in each direction and, if there are several loads, each load; None without loads.
+    """Returns the loads over time: their sum in each direction and, if there are several loads, each load;
+
+    None if there are no loads.
 
     The loads are held over each step at their value midway through the step, as in the simulation.
     """

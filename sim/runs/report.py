@@ -105,7 +105,7 @@ def _worst_line(run: RunResult) -> dict[str, Any] | None:
 
 
 def _shortfall(run: RunResult) -> dict[str, Any]:
-    """Returns the force that semi-active dampers did not supply for JSON; empty without such dampers."""
+    """Returns for JSON the force that semi-active dampers did not supply; empty if there are no such dampers."""
     if not run.vehicle.dampers:
         return {}
     return {"shortfall": FEATURES.load("forces that dampers lack").shortfalls(run.vehicle, run.physics)}

@@ -39,7 +39,7 @@ TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s
 
 
 def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
-    """Returns the deepest simulated contact with every stop, by deflection and side; None without contact.
+    """Returns the deepest simulated contact with each stop, by deflection and side; None if there was no contact.
 
     Only the part of a run before it becomes invalid is considered.
     """

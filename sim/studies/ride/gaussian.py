@@ -15,8 +15,8 @@ rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, on
 integral of S^2 df / T.
 
 The other statistics are approximate. The largest magnitude has Vanmarcke's distribution for both barriers (E. H. Vanmarcke
-(1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. Its distribution is assumed to be a gamma
-distribution, and its fluctuations to be those of a Gaussian signal with the same spectrum.
+(1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. The distribution of the running mean square is
+assumed to be a gamma distribution. Its fluctuations are assumed to be like those of a Gaussian signal with the same spectrum.
 """
 
 import math

@@ -56,7 +56,7 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
 
 
 def roughness(found: Sequence[Roughness]) -> dict[str, Any]:
-    """Returns the IRIs [m/km] of a road by name for JSON; empty for a road without an IRI."""
+    """Returns the international roughness indices (IRI) of a road [m/km] by name, for JSON; empty for a road without an IRI."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 

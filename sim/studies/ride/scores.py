@@ -1,6 +1,6 @@
 """Scores of controllers for a comparison: ride, travel, tyre load and force, and the best controller for each quantity.
 
-If a vehicle has several wheels, suspensions or actuators, each value is that of the worst wheel, suspension or actuator.
+If a vehicle has several wheels, suspensions or actuators, each value is for the worst wheel, suspension or actuator.
 """
 
 import math
@@ -37,7 +37,7 @@ class Score:
         vehicle: name of the vehicle, if several are compared; otherwise empty.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
         strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
-            stroke. A side without a stop is omitted. It is empty if there are no stops or no run.
+            stroke. A side without a stop is omitted. `strokes` is empty if there are no stops or no run.
     """
 
     controller: str

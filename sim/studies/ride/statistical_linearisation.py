@@ -2,9 +2,9 @@
 
 The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the line.
 
-The remainder is the difference between curve and line. It is included to second order. The remainder acts as a noise force, which
-also contains frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle; without the
-remainder, travel would be about 5 % too small.
+The remainder is the difference between curve and line. The remainder is included to second order. The remainder acts as a noise
+force, which also contains frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle;
+without the remainder, travel would be about 5 % too small.
 
 For a Gaussian signal x = m + s z with mean m and standard deviation s, a curve F is a sum of Hermite polynomials of z,
 

@@ -34,7 +34,8 @@ class LoopCase:
     Attributes:
         vehicle: vehicle with sample period and delay of the controller.
         controller: the controller.
-        undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is none.
+        undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is no second
+            controller.
     """
 
     vehicle: Vehicle
@@ -123,7 +124,9 @@ def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
 
 
 def _held_forces(step: StateSpace, undelayed: Controller | None) -> StateSpace:
-    """Returns the model of a step with held forces. Its state is [z; acting forces; states of the undelayed controller].
+    """Returns the model of a step with held forces.
+
+    The state of this model is [z; acting forces; states of the undelayed controller].
 
     Args:
         step: derivative of MuJoCo's step, whose state is z.
