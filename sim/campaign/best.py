@@ -200,7 +200,7 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    if best is None:  # the nearest candidate has the smallest excess, relative to the limit; for a limit of 0 the absolute excess
+    if best is None:  # the nearest candidate has the smallest excess relative to the limit (absolute if the limit is 0)
 
         def excess(one: Candidate) -> float:
             return max((numbers[one][name] - limit) / (abs(limit) or 1.0) for name, limit in request.limits.items())

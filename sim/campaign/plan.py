@@ -27,7 +27,7 @@ RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16  # smallest batch; a quarter-car run costs a fifth more in a batch of 16 than in a batch of 64
 TOGETHER = 64  # smallest number of consecutive runs in a part of a campaign, if the campaign has enough runs
 MOST_ROUNDS = 64  # largest number of intervals of consecutive runs in each part
-Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers, without `stop`
+Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers; `stop` is not included
 
 
 @dataclass(frozen=True)

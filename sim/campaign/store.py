@@ -110,7 +110,7 @@ class Store:
         try:
             table = self.read(self.schema.names)
         except InputError:
-            if self.finished:  # another process has finished this part meanwhile, and removed the files of its batches
+            if self.finished:  # meanwhile, another process has finished this part and removed the files of the batches
                 return
             raise
         self._write(self.results, table.combine_chunks())

@@ -104,7 +104,7 @@ class RecordedForces(ControlLaw):
         return ("recorded",)
 
 
-RunDriver = AnyController | RecordedForces  # a controller, or known commands, of one run
+RunDriver = AnyController | RecordedForces  # controller of one run, or known commands
 
 
 @dataclass(frozen=True)

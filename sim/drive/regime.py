@@ -56,7 +56,7 @@ class Threshold:
         return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
-        """Returns the values in the direction of the limit."""
+        """Returns the values with a sign such that the limit is an upper limit."""
         return self.sign * values if self.sign else np.abs(values)
 
 

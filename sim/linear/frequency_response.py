@@ -32,7 +32,7 @@ from synth.plant.loop import Loop, frequency_response, stepwise_response
 
 # first frequency [rad/s] and number of points of the peak search, whose grid ends at the Nyquist frequency
 LOWEST, GRID = 1e-2, 3000
-PULL = "pull_"  # prefix of the name of a suspension force among the inputs
+PULL = "pull_"  # prefix of the input names that are suspension forces
 
 
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:

@@ -57,7 +57,7 @@ NODES = 8  # number of nodes of the quadrature over a step
 WHOLE = 1e-9  # relative; a preview time this close to an integer number of steps counts as an integer
 
 
-SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not change within any run, and its time step would overflow
+SLOWEST_RATE = 1e-12  # rad/s; slower modes do not change within any run, and the time step computed for them would overflow
 
 
 def taylor4(M: Array) -> Array:

@@ -59,7 +59,7 @@ class Stepper:
         (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
         self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
         V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
-        self._response = V[:, : len(push)] @ push  # change of v' per unit of force
+        self._response = V[:, : len(push)] @ push  # change of v' per newton of each force
         # the states of parts are the last ones of the linear model
         push = np.hstack([push, np.eye(len(push), own, own - len(push))])
         w = s + own

@@ -113,7 +113,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         lost += _lost_energy(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
-    if vehicle.start:  # the energy at the start is not work during the run
+    if vehicle.start:  # the energy at the start is subtracted, because it is not work during the run
         stored -= stored[0]
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
     turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
@@ -210,7 +210,7 @@ class _Length:
         return (d, v), (d + grown / 2 + h / 8 * (v - w), 1.5 * grown / h - (v + w) / 4), (self.after, w)
 
     def integral(self, powers: Iterable[Array]) -> Array:
-        """Returns the integral of a power over every step by Simpson's rule [J], shape (T - 1,), from three stages [W]."""
+        """Returns the integral of a power over each step [J], shape (T - 1,), by Simpson's rule from three values [W]."""
         first, middle, last = powers
         return (first + 4 * middle + last) * self.h / 6
 
@@ -250,13 +250,13 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
 
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
-    """Returns the power of a semi-active damper beyond its nominal power at the three stages [W], shape (T - 1,) each."""
+    """Returns a damper's power minus its nominal power at start, middle and end of each step [W], shape (T - 1,) each."""
     settings = _settings(one, response, h)
     return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
 
 
 def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array, Array, Array]:
-    """Returns the setting of a semi-active damper relative to the nominal one at the three stages, shape (T - 1,) each."""
+    """Returns a damper's setting minus its nominal setting at start, middle and end of each step, shape (T - 1,) each."""
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0

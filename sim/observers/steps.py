@@ -87,7 +87,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     further += [expected - measured[name][: len(ahead)] for name, expected in readings.items()]
     apart = np.abs(np.concatenate([ahead - there, *(row[:, None] for row in further)], axis=1))
     between = np.isnan(np.stack([measured[name][: len(ahead)] for name in readings], 1)) if readings else None
-    if between is not None:  # no measurement at this time step
+    if between is not None:  # NaN means that nothing was measured at this time step
         apart[:, -between.shape[1] :][between] = 0.0
     apart /= scales
     apart[~np.isfinite(apart)] = np.inf

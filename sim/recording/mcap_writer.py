@@ -26,7 +26,8 @@ PACKAGE = "roadproof"
 
 
 Schema = tuple[str, str, bytes]  # name, encoding, data
-Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]  # topic, schema, metadata, times [ns] and messages
+# A channel: topic, schema, metadata, times [ns] and messages
+Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]
 
 
 def write_mcap(

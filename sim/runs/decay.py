@@ -75,7 +75,7 @@ def modes_of(run: RunResult, response: Response) -> tuple[Mode, ...]:
     blocks = np.concatenate([signals[:, i : i + count] for i in range(LATER)])
     U, sizes, V = np.linalg.svd(blocks, full_matrices=False)
     rank = int((sizes > SMALLEST * sizes[0]).sum())
-    states = sizes[:rank, None] * V[:rank]  # states of the blocks in the coordinates of the first singular vectors
+    states = sizes[:rank, None] * V[:rank]  # states of all blocks, as coordinates along the first singular vectors
     step = np.linalg.lstsq(states[:, :-1].T, states[:, 1:].T)[0].T
     values, vectors = np.linalg.eig(step)
     along = np.linalg.lstsq(vectors, states.astype(complex))[0]

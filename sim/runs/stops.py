@@ -65,7 +65,8 @@ def _is_stop(part: Part) -> bool:
     return any(limit.end == BUMP_STOP.name for limit in part.limits())
 
 
-STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)  # compression [m], force [N] and time [s] of every stop in a run, or None
+# Compression [m], force [N] and time [s] for each stop in a run; None if the stop is not reached
+STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)
 
 
 def stop_note(run: RunResult) -> str:

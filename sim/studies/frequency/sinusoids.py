@@ -39,7 +39,8 @@ LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6
 PATIENCE = 10.0
 TOLD_APART = 5.0  # s, duration of the end of a run that suffices to separate slow motion from the lines
 ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in one batch would take gigabytes
-FINEST = 2000  # smallest number of samples in whole periods, such that their frequency is within 0.03 % of the requested one
+# Smallest number of samples in the whole periods, so that the frequency is within 0.03 % of the requested frequency
+FINEST = 2000
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,7 +42,7 @@ class Sweep:
     extremes: Extremes
     sampled: SampledNorm | None  # exact norm of the implemented loop; None if there is no [implementation], or with preview
     loads: tuple[MinimumLoad, ...]  # minimum load of each tyre in the EUSAMA test
-    without: str  # text with the noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
+    without: str  # text about noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
     # Response over a road of 1/10 or 1/100 of the height, measured if nonlinearity may cause a difference
     small: Lines | None = None
 

@@ -166,7 +166,7 @@ def settled_shares(
 
 
 FORGOTTEN = 0.01  # share of its final variance that the slowest mode may still lack when the measurement begins
-EXACT = 1e-4  # relative error of an integral above which an error is reported
+EXACT = 1e-4  # the error of an integral is reported if it exceeds this share
 
 
 @dataclass(frozen=True, eq=False)

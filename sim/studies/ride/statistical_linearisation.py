@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 DEGREES = (2, 3, 4)  # degrees of the Hermite polynomials that are included
 COUNT = 4096  # number of frequencies
 HIGHEST = 2 * np.pi * 125.0  # smallest upper end of the frequencies [rad/s]
-ABOVE = 6.0  # upper end of the frequencies for a faster vehicle, relative to the frequency of its fastest oscillation
+ABOVE = 6.0  # for a fast vehicle, upper end of the frequencies relative to the frequency of its fastest oscillation
 MEMORY_CONSISTENT = 1e-6  # relative change at which the iteration ends
 MEMORY_DIRECT = 10  # number of iterations with full steps
 MEMORY_ROUNDS = 100  # largest number of iterations

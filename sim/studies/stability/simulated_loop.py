@@ -24,7 +24,7 @@ from synth.plant.state_space import StateSpace
 STANDS = 1e-6  # 1/s; a smaller growth rate counts as 0, because the error of the finite differences is a tenth of this rate
 SMALL = 1e-6  # m or rad; largest coordinate of the initial state of a run
 FREE = 1e-2  # largest force in a run that starts in the slowest mode, relative to the force limit
-ACTING_STATE = "acting_{}"  # names of the states that contain acting forces
+ACTING_STATE = "acting_{}"  # pattern for the names of states that contain acting forces
 
 
 @dataclass(frozen=True, eq=False)
