@@ -151,7 +151,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
         try:
             lock.acquire()
         except OSError as error:  # OSError includes filelock.Timeout, which means that another process holds the lock
-            # A finished campaign is only read. Reading needs no lock, and some network file systems have none.
+            # A finished campaign is only read. Reading requires no lock, and some network file systems do not support locks.
             if isinstance(error, filelock.Timeout) or not (folder / RESULTS).exists():
                 raise InputError(
                     f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "

@@ -328,7 +328,7 @@ def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
 
 
 def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
-    """Returns error bars of two standard errors through a controller's point, as one curve; an empty list for a single run."""
+    """Returns error bars of two standard errors around a controller's point, drawn as one curve; empty for a single run."""
     x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
     across, up = entry[ACROSS].get("standard_error"), entry[UP].get("standard_error")
     if across is None or up is None:

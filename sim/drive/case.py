@@ -208,7 +208,7 @@ ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput`
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Replaces each road input by the first one with the same heights under its wheels, so that they are computed only once."""
+    """Returns the road inputs, where equal ones share one object, so that the heights under the wheels are computed only once."""
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]

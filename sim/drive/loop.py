@@ -348,7 +348,7 @@ class Loop:
                     if in_signals is not None:
                         sensed[i + 1][at_sample] = under_load
             if self.after and not felt:
-                # The evaluation after a step has overwritten the sensor values before the step with those before the next step.
+                # The evaluation after a step has overwritten the sensor values, which are now the values before the next step.
                 sensed[1:, early] = sensed[:-1, early]
             values = signals_of(sensed[1:], readings, level, midway[block], before, requested, acts)
             largest, overflowed = signals_of.extremes(values, requested, law_states)

@@ -315,7 +315,7 @@ class _Path:
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
-        """Evaluates T states with the road of the step that begins and, if the road moved, with that of the step that ends."""
+        """Evaluates T states with the road of the step that begins and, if it moved, also with the road of the step that ends."""
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))

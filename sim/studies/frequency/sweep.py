@@ -145,7 +145,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 def _failures(one: Sweep, rounds: bool) -> list[str]:
     """Returns a text for each failed claim of a linear law. `rounds` is True for exported code in fixed-point arithmetic."""
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
-    # The effect of rotations decreases with the height of the road, so the response over the lower road decides.
+    # The effect of rotations decreases with the height of the road, so the response over the lower road determines the result.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
         why = "; the timestep is too coarse, give a smaller timestep" if coarse and not rounds else ""

@@ -45,7 +45,7 @@ NO_ANGLE = 1e-9  # deg, largest rounding error of angles that symmetry keeps at 
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
-    """Returns all IRIs of the part of a road that a vehicle drives in a run, one per track.
+    """Returns the international roughness indices of the part of a road that a vehicle drives in a run, one per track.
 
     Args:
         vehicle: the vehicle.
@@ -179,7 +179,7 @@ def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tupl
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
-    """Returns a clause that explains why the measurement on a random road begins at a time.
+    """Returns a clause that explains why the measurement on a random road begins at the given time.
 
     Args:
         driven: pairs of vehicle and controller that are compared.
