@@ -84,8 +84,7 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero of the transfer function from the first force to a
-    signal."""
+    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero in the transfer from the first force to a signal."""
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])
