@@ -16,7 +16,7 @@ from models.common.extensions import STUDIES
 from sim.studies.command_name import command_of
 
 OWN = {name: texts for name, texts in STUDIES.texts.items() if texts}
-COMMANDS = (  # module name after `python -m`, purpose, most important options
+COMMANDS = (  # each row: module name after `python -m`, purpose, and most important options
     ("sim.new", "write a commented vehicle file to start from", "--type"),
     ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
     ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),

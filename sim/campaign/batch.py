@@ -31,8 +31,8 @@ from synth.controller.controller import is_linear
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     """Returns True if the linear response of `sim.observers.twin.Twin` is exact for these runs.
 
-    This needs a vehicle without nonlinear springs and dampers, and linear laws that do not set semi-active dampers. The laws
-    must act without delay, noise and quantisation, or request no force.
+    The response is exact only for a vehicle without nonlinear springs and dampers, and for linear laws that do not set
+    semi-active dampers. The laws must act without delay, noise and quantisation, or request no force.
     """
     vehicle = runs[0].vehicle
     linear = all(is_linear(run.controller, run.vehicle) for run in runs)

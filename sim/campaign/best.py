@@ -52,7 +52,7 @@ class Request:
 
     @property
     def words(self) -> str:
-        """Text that lists the limits, such as "peak_travel <= 0.08 m"; empty without limits."""
+        """Text that lists the limits, such as "peak_travel <= 0.08 m"; empty if there are no limits."""
         return " and ".join(f"{name} <= {limit:g} {self.units[name]}".rstrip() for name, limit in self.limits.items())
 
 
@@ -128,7 +128,7 @@ class Choice:
 
 
 def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
-    """Returns the request of `--best` and `--subject-to`; None without `--best`.
+    """Returns the request of `--best` and `--subject-to`; None if `--best` is not given.
 
     Raises:
         InputError: a metric is unknown or missing for a vehicle, a limit is not a number, or options cannot be combined.
@@ -205,7 +205,7 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    if best is None:  # the nearest candidate has the smallest excess, relative to the limit; for a limit of 0 the absolute excess
+    if best is None:  # the nearest candidate has the smallest excess relative to the limit (absolute if the limit is 0)
 
         def excess(one: Candidate) -> float:
             return max((numbers[one][name] - limit) / (abs(limit) or 1.0) for name, limit in request.limits.items())

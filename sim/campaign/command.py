@@ -202,7 +202,8 @@ def _merge(campaign: Campaign, folder: Path) -> None:
         InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the
             packages.
     """
-    if (folder / RESULTS).exists() and (folder / NAME).exists():  # merged before, but removing the parts was interrupted
+    # The parts were merged before, but removing them was interrupted
+    if (folder / RESULTS).exists() and (folder / NAME).exists():
         return
     some = parts.there(folder)
     parts.check_complete(folder, some)
@@ -249,7 +250,7 @@ def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[s
         campaign = read_campaign(options.file)
     else:
         file = Path(manifest.file)
-        if not file.is_absolute() or not file.parent.is_dir():  # the folder was copied to another machine
+        if not file.is_absolute() or not file.parent.is_dir():  # this happens if the folder was copied to another machine
             file = folder.absolute().parent / file.name
         campaign = parse_campaign(manifest.campaign, file)
         now = "has changed" if file.is_file() else "no longer exists"

@@ -70,7 +70,7 @@ class Manifest:
         with made_folder(beside, "results", FULL):
             self.write(beside)
         try:
-            beside.rename(folder)  # fails if the folder exists and contains files
+            beside.rename(folder)  # renaming fails if the folder exists and contains files
         except OSError as error:
             shutil.rmtree(beside, ignore_errors=True)
             if not (folder / NAME).exists():
@@ -150,8 +150,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
         lock = filelock.FileLock(folder / LOCK, timeout=0)
         try:
             lock.acquire()
-        except OSError as error:  # includes filelock.Timeout, which means that another process holds the lock
-            # A finished campaign is only read. Reading needs no lock, and some network file systems have none.
+        except OSError as error:  # OSError includes filelock.Timeout, which means that another process holds the lock
+            # A finished campaign is only read. Reading requires no lock, and some network file systems do not support locks.
             if isinstance(error, filelock.Timeout) or not (folder / RESULTS).exists():
                 raise InputError(
                     f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "

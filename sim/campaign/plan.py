@@ -27,7 +27,7 @@ RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16  # smallest batch; a quarter-car run costs a fifth more in a batch of 16 than in a batch of 64
 TOGETHER = 64  # smallest number of consecutive runs in a part of a campaign, if the campaign has enough runs
 MOST_ROUNDS = 64  # largest number of intervals of consecutive runs in each part
-Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers, without `stop`
+Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers; `stop` is not included
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,9 @@ class RunBlock:
         start: number of the first run.
         vehicle, controller: names in the campaign file.
         road, speed: road, and speed [m/s].
-        variants: for each variant, the sampled values of the law by key; None if the law is not sampled.
-        samples: for each sample, the sampled parameters of the vehicle by name [SI]; a single empty sample if none are sampled.
+        variants: sampled values of the law by key, one mapping for each variant; None if the law is not sampled.
+        samples: sampled parameters of the vehicle by name [SI], one mapping for each sample; a single empty sample if none are
+            sampled.
         seeds: seeds of the road; only the first seed if the road is not random.
     """
 

@@ -110,7 +110,7 @@ class Store:
         try:
             table = self.read(self.schema.names)
         except InputError:
-            if self.finished:  # another process has finished this part meanwhile, and removed the files of its batches
+            if self.finished:  # meanwhile, another process has finished this part and removed the files of the batches
                 return
             raise
         self._write(self.results, table.combine_chunks())
@@ -138,7 +138,7 @@ class Store:
         self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns the columns with these names. They contain all rows that exist so far.
+        """Returns the columns with these names. The columns contain all rows that exist so far.
 
         Raises:
             InputError: a file is damaged, or another version of Roadproof wrote it with other columns.

@@ -140,8 +140,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
     """Returns statistics of the worst metric: value over all runs, standard error, 95th percentile and prediction.
 
-    Runs without metrics do not count. All entries are None if the vehicle type has none of these columns: a vehicle without a
-    suspension, for example, has no travel.
+    Runs without metrics do not count. All entries are None if these columns do not exist for the vehicle type. For example, a
+    vehicle without a suspension has no travel.
 
     Args:
         columns: columns of the results by name, shape (count,) each.
@@ -334,7 +334,7 @@ def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
 
 
 def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
-    """Returns error bars of two standard errors through a controller's point, as one curve; an empty list for a single run."""
+    """Returns error bars of two standard errors around a controller's point, drawn as one curve; empty for a single run."""
     x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
     across, up = entry[ACROSS].get("standard_error"), entry[UP].get("standard_error")
     if across is None or up is None:

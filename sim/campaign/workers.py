@@ -17,7 +17,7 @@ from sim.campaign.plan import Plan
 BatchResult = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
 ANSWER = 3.0  # s, longest time until the head of a cluster answers
 TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
-RETRIES = 5  # number of repetitions of a batch whose Ray worker dies
+RETRIES = 5  # largest number of repetitions of a batch if its Ray worker dies
 
 
 @one_thread()

@@ -143,7 +143,7 @@ def record_command_runs(
 
 
 def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "MeasuredLog | None":
-    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None without this option.
+    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None if the option is not given.
 
     Raises:
         InputError: the log cannot be read (see `read_measured_log`), or an option is given that needs `--beside`.

@@ -45,7 +45,7 @@ class VehicleRuns:
         without: omitted part for each run, such as noise; empty for runs with the whole vehicle.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
-        fits: comparison of each run with a measured log; empty without a log.
+        fits: comparison of each run with a measured log; empty if no log is given.
     """
 
     vehicle: Vehicle

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of closing velocities of suspensions, and of travels and states of voltage-controlled elements.
 
-    A voltage-controlled element is a force element whose voltage the controller commands. The result is empty without
-    semi-active dampers. See `CoefficientRange.closing`.
+    A voltage-controlled element is a force element whose voltage the controller commands. The result is empty if the vehicle has
+    no semi-active dampers. See `CoefficientRange.closing`.
     """
     if not vehicle.dampers:
         return ()
@@ -68,7 +68,8 @@ class Actuators:
         self.at_rest = np.pad(self._of.at_rest, (0, more))
         self.closing[: self.forces][adjustable, -readout.stretching_rates.shape[1] :] = -readout.stretching_rates[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
-        # The ramps of damper characteristics are the last actuators of the model. They receive the commands of their dampers.
+        # The ramps of damper characteristics are the last actuators of the model. These actuators receive the commands of their
+        # dampers.
         ramps = {
             one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
         }

@@ -77,8 +77,8 @@ class Batch:
         velocities: rates of the road heights at the samples [m/s], shape (T, N, r); None if they are not needed.
         held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
             r); None if there are none.
-        effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None
-            without loads.
+        effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None if
+            there are no loads.
         sides: road heights on the other side of vertical edges [m], shape (N, r), by index of the sample.
         failures: failures of Python control laws, by run. A run with a failed law continues without forces. If `failures` is
             None, the first failure is raised as an error.
@@ -157,7 +157,7 @@ def batch_of(
 
     Args:
         numbers: index of each case in the list of all cases.
-        streamed: True for inputs that do not store their road heights. This avoids storing all samples twice.
+        streamed: True for inputs that do not store their road heights. Such inputs avoid storing all samples twice.
         failures: dictionary that receives the failures of Python control laws; None to raise the first failure.
     """
     inputs, vehicles = inputs_of(cases, time), [one.vehicle for one in cases]
@@ -208,7 +208,7 @@ ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput`
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Replaces each road input by the first one with the same heights under its wheels, so that they are computed only once."""
+    """Returns the road inputs, where equal ones share one object, so that the heights under the wheels are computed only once."""
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]

@@ -58,10 +58,10 @@ class Computer:
         whole = (*names, *closing)
         self._places, self._signals = np.array([whole.index(name) for name in driver.measured], dtype=int), len(names)
         self._late, self._each = np.array([round(one.delay * self.period) for one in how]), np.arange(len(how))
-        self._changes = np.zeros(self.period, dtype=bool)  # True for the phases of the sample period at which a command arrives
+        self._changes = np.zeros(self.period, dtype=bool)  # True for the time steps of a sample period at which a command arrives
         self._changes[self._late % self.period] = True
         most = max(one.pending_forces for one in how)
-        self._waiting = np.zeros((most + 1, len(how), actuators.size))  # ring buffer, indexed by sample
+        self._waiting = np.zeros((most + 1, len(how), actuators.size))  # ring buffer of delayed commands, indexed by sample
         self._all, self._at_once = isinstance(runs, slice), not most
         self._resolution = np.array([[one.quantisation.get(name, 0.0) for name in driver.measured] for one in how])
         self._step = np.where(self._resolution > 0, self._resolution, 1.0) if self._resolution.any() else None

@@ -26,8 +26,8 @@ from sim.drive.loop import Block, Loop
 from sim.drive.regime import BLOCK
 from sim.drive.sensor_readout import hardware, reads_out
 
-# Smallest number of runs per thread; with fewer runs, the NumPy code between the steps takes as long as the steps, and only one
-# thread at a time can execute it
+# Smallest number of runs per thread. With fewer runs, the NumPy code between the steps takes as long as the steps, and only one
+# thread at a time can execute this code.
 FEWEST = 4
 
 
@@ -114,8 +114,8 @@ def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
 def _shares(count: int, threads: int) -> list[slice]:
     """Splits the runs evenly among threads.
 
-    Each thread has its own batch. This is faster than a single batch on all threads. The threads of a single batch would wait for
-    each other at each step, and for Python code.
+    Each thread has its own batch. Separate batches are faster than a single batch on all threads. The threads of a single batch
+    would wait for each other at each step, and for Python code.
     """
     shares = min(threads, count // FEWEST)
     if shares <= 1:

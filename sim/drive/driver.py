@@ -77,7 +77,7 @@ class Driver(Protocol):
         Args:
             k: index of the time step, from 0.
             y: measurements, shape (N, q).
-            ahead: road heights under the wheels at this and the next samples [m], shape (N, r, P); None without preview.
+            ahead: road heights under the wheels at this and the next samples [m], shape (N, r, P); None if there is no preview.
             state: states of the driver before this sample, shape (N, k).
         """
         ...
@@ -104,7 +104,7 @@ class RecordedForces(ControlLaw):
         return ("recorded",)
 
 
-RunDriver = AnyController | RecordedForces  # a controller, or known commands, of one run
+RunDriver = AnyController | RecordedForces  # controller of one run, or known commands
 
 
 @dataclass(frozen=True)

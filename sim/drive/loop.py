@@ -94,7 +94,7 @@ class Block:
     @property
     def _beyond_limits(self) -> Array:
         """True at the samples at which a run is beyond its limits, shape (B, N)."""
-        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed  # NaN counts as beyond the limit
+        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed  # NaN also counts as beyond the limit
 
     def clip(self, gone: Array) -> None:
         """Clips the values at the samples of a mask to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0.
@@ -149,7 +149,8 @@ class Loop:
         self.sensors = _span(readout.of_sensors[of_sensors]) if self.stage else slice(0, 0)
         # Accelerations are measured in a separate evaluation, with the present road and the force that has acted until now.
         self.fresh = self.stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-        self.after = 0 if self.fresh else self.stage  # stage to which MuJoCo is evaluated after a step for the next measurement
+        # Stage up to which MuJoCo is evaluated after a step, for the next measurement
+        self.after = 0 if self.fresh else self.stage
 
     def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
         """Returns the started computers of a batch, and the computers of the second controllers, which have no implementation."""
@@ -347,7 +348,7 @@ class Loop:
                     if in_signals is not None:
                         sensed[i + 1][at_sample] = under_load
             if self.after and not felt:
-                # The evaluation after a step has overwritten the sensor values before the step with those before the next step.
+                # The evaluation after a step has overwritten the sensor values, which are now the values before the next step.
                 sensed[1:, early] = sensed[:-1, early]
             values = signals_of(sensed[1:], readings, level, midway[block], before, requested, acts)
             largest, overflowed = signals_of.extremes(values, requested, law_states)

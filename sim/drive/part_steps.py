@@ -168,7 +168,7 @@ class _State:
 
         Args:
             count: number N of runs.
-            ends: ends of qpos, qvel, act and the states of the parts in the last axis.
+            ends: indices in the last axis at which qpos, qvel, act and the states of the parts end.
         """
         self.all = np.zeros((count, ends[-1]))
         _, self.velocities, _, self.own = np.split(self.all, ends[:-1], axis=1)

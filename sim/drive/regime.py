@@ -56,7 +56,7 @@ class Threshold:
         return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
-        """Returns the values in the direction of the limit."""
+        """Returns the values with a sign such that the limit is an upper limit."""
         return self.sign * values if self.sign else np.abs(values)
 
 
@@ -227,7 +227,7 @@ LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law 
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
-    """Returns the largest value of a response relative to each limit of `REGIME_ENDS`, shape (..., E); 0 without a limit.
+    """Returns a response's largest value relative to each limit of `REGIME_ENDS`, shape (..., E); 0 if there is no limit.
 
     Args:
         anti_windup: True if clipped demands on the actuators end the linear regime, see `EndDetector`.
@@ -252,7 +252,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
 
 
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
-    """Returns the share of the distance to its command that a force covers in a step, and the sample period [s].
+    """Returns the share of the distance to the command that a lagging force covers in a step, and the sample period [s].
 
     For a predicted response, the share is exact. For a simulated response, it is the share in a step of RK4.
 
@@ -272,7 +272,7 @@ def command_rates(forces: Array, way: Any, interval: Any) -> Array:
 
     Args:
         forces: forces at the samples [N], shape (..., T).
-        way: share of the distance to its command that a force covers in a step, shape (...); 0 without a lag.
+        way: share of the distance to the command that a force covers in a step, shape (...); 0 if there is no lag.
         interval: sample period [s], shape (...).
     """
     way, interval = np.asarray(way)[..., None], np.asarray(interval)[..., None]

@@ -124,7 +124,7 @@ class Response(ShownResult):
         """Adds the values on the other side of vertical edges to `before`.
 
         Args:
-            others: values of all signals, shape (..., S), by index of the sample.
+            others: values of all signals at some samples, shape (..., S) each, by index of the sample.
         """
         before = dict(self.before)
         for i, name in enumerate(self.names):

@@ -84,7 +84,7 @@ class Readout:
 
 @functools.lru_cache(maxsize=16)
 def prepared_readout(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
-    """Returns the model and the readout of a vehicle. They are cached, because a search simulates one vehicle hundreds of times.
+    """Returns the model and the readout of a vehicle. Both are cached, because a search simulates one vehicle hundreds of times.
 
     `Batch` copies the model.
     """

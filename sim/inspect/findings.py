@@ -11,7 +11,7 @@ from sim.drive.response import Response
 from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
-SAME = 1e-6  # allowed relative difference of a derived number between machines and versions of NumPy
+SAME = 1e-6  # allowed relative difference of a derived number if the machine or the version of NumPy changes
 # Keys that may be missing in older logs. The last two exist only for vehicles with nonlinear springs or dampers.
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
 # Keys that exist only in older logs, or only for laws that a replay does not run

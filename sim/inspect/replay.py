@@ -59,7 +59,7 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
 def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     """Returns the vehicle with the actuators, initial state and implementation of a run.
 
-    These may differ from the vehicle file: `sim.margins`, for example, adds a delay.
+    A run may differ from the vehicle file in these respects: `sim.margins`, for example, adds a delay.
     """
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
@@ -74,8 +74,8 @@ def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
     """Returns the controller of a run.
 
-    The controller is that of the vehicle file. The log contains the proof, and the law if it was designed. The text of a law in
-    Python is attached to the log. If the run used exported code, the code is compiled again.
+    The controller is taken from the vehicle file. The log contains the proof, and the law if it was designed. The text of a law
+    in Python is attached to the log. If the run used exported code, the code is compiled again.
 
     Raises:
         InputError: the vehicle file does not contain the controller, or the proof or the code is invalid.

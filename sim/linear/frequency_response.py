@@ -5,9 +5,9 @@ time, Z and W act on the loop of `synth/controller/loop_of.py`.
 
 In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step, the road is held at the height at mid-step,
 which is exp(j omega h/2) times as large. If tyres have damping, the mean road velocity over the step is also held. The control
-force is held, too. The response to a sampled sinusoid is then an exact sinusoid. If the sample period of the controller is
-several steps, other frequencies appear. The frequency response then contains only the component at omega, computed over all steps
-of a period.
+force is also held over each step. The response to a sampled sinusoid is then an exact sinusoid. If the sample period of the
+controller is several steps, other frequencies appear. The frequency response then contains only the component at omega, computed
+over all steps of a period.
 
 Preview adds to the requested forces the sum of the weights times exp(j omega i T) over the coming samples i, at intervals T. In
 continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s.
@@ -32,7 +32,7 @@ from synth.plant.loop import Loop, frequency_response, stepwise_response
 
 # first frequency [rad/s] and number of points of the peak search, whose grid ends at the Nyquist frequency
 LOWEST, GRID = 1e-2, 3000
-PULL = "pull_"  # prefix of the name of a suspension force among the inputs
+PULL = "pull_"  # prefix of the input names that are suspension forces
 
 
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:

@@ -30,8 +30,8 @@ def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts:
         acts: True for each suspension with forces that the linear model does not contain.
 
     Returns:
-        Gains from states and from road heights to the deflections followed by their rates, shapes (2 s, n) and (2 s, r). The
-        last two arrays are the gains from the contracting suspension forces to state rates and to outputs, shapes (n, s) and
+        Gains from states, shape (2 s, n), and from road heights, shape (2 s, r), to the s deflections followed by their s rates.
+        The last two arrays are the gains from the contracting suspension forces to state rates and to outputs, shapes (n, s) and
         (p, s).
 
     Raises:

@@ -57,7 +57,7 @@ NODES = 8  # number of nodes of the quadrature over a step
 WHOLE = 1e-9  # relative; a preview time this close to an integer number of steps counts as an integer
 
 
-SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not change within any run, and its time step would overflow
+SLOWEST_RATE = 1e-12  # rad/s; slower modes do not change within any run, and the time step computed for them would overflow
 
 
 def taylor4(M: Array) -> Array:
@@ -180,7 +180,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
     The evaluation of a random road takes most of the time, so every quadrature node is used for all three integrals.
 
     Args:
-        system: closed loop from the forces.
+        system: closed loop with the control forces as inputs.
     """
     A, B = system.A, system.B
     road, vehicle, time, h, T = (
@@ -322,7 +322,7 @@ def _many_pieces(
     t = left[:, None] + half * (nodes + 1)
     pushed = (half * weights).ravel()[:, None] * push(t.ravel())
     way = (t - start[:, None] if backward else end[:, None] - t).ravel()
-    at = np.cos(np.pi * (np.arange(CHEBYSHEV) + 0.5) / CHEBYSHEV)  # nodes on [-1, 1], the range of 2 way / h - 1
+    at = np.cos(np.pi * (np.arange(CHEBYSHEV) + 0.5) / CHEBYSHEV)  # Chebyshev nodes between -1 and 1, the range of 2 way / h - 1
     known = np.stack([linalg.expm(A * (h * (1 + x) / 2)) for x in at]).reshape(CHEBYSHEV, -1)
     shares = np.linalg.solve(np.polynomial.chebyshev.chebvander(at, CHEBYSHEV - 1), known).reshape(CHEBYSHEV, *A.shape)
     basis = np.polynomial.chebyshev.chebvander(2 * way / h - 1, CHEBYSHEV - 1)

@@ -59,7 +59,7 @@ class Stepper:
         (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
         self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
         V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
-        self._response = V[:, : len(push)] @ push  # change of v' per unit of force
+        self._response = V[:, : len(push)] @ push  # change of v' per newton of each force
         # the states of parts are the last ones of the linear model
         push = np.hstack([push, np.eye(len(push), own, own - len(push))])
         w = s + own
@@ -78,7 +78,8 @@ class Stepper:
         self._rows = np.vstack([rows, V @ model.A]).T
         self._of_road = np.vstack([of_road, V @ (model.A @ model.jump + model.Br)]).T
         self._of_inputs, self._of_held = np.vstack([of_inputs, V @ model.B]).T, V @ model.Bh
-        # Matrices of a whole step. Their columns are for states, inputs, road, loads, and the forces of the four stages.
+        # Matrices of a whole step. The columns of these matrices are for states, inputs, road, loads, and the forces of the four
+        # stages.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
         start = total = np.eye(n, forces + 4 * w)
@@ -257,8 +258,8 @@ class _Laws:
 
         Args:
             sample: index of the sample.
-            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. These are the inputs that have
-                acted until the sample.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The given inputs are those that
+                have acted until the sample.
             law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]

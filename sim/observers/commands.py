@@ -38,7 +38,7 @@ EXACT = 1e-10
 
 Difference = tuple[
     str, Array, Array, Array
-]  # name, times [s], and difference and allowed difference relative to the peak, shape (K,) each
+]  # each entry: name, times [s], and difference and allowed difference relative to the peak, shape (K,)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ Here E is the kinetic and potential energy. The residual of this equation is due
 The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the lengths l and
 rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear
 in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
-tyre leaves the road. The force then has a kink, and the residual is only of about second order. This also applies to the knots of
-characteristics.
+tyre leaves the road. The force then has a kink, and the residual is only of about second order. The knots of characteristics have
+the same effect.
 
 E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
 file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. So does any force in
@@ -113,7 +113,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         lost += _lost_energy(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
-    if vehicle.start:  # the energy at the start is not work during the run
+    if vehicle.start:  # the energy at the start is subtracted, because it is not work during the run
         stored -= stored[0]
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
     turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
@@ -210,7 +210,7 @@ class _Length:
         return (d, v), (d + grown / 2 + h / 8 * (v - w), 1.5 * grown / h - (v + w) / 4), (self.after, w)
 
     def integral(self, powers: Iterable[Array]) -> Array:
-        """Returns the integral of a power over every step by Simpson's rule [J], shape (T - 1,), from three stages [W]."""
+        """Returns the integral of a power over each step [J], shape (T - 1,), by Simpson's rule from three values [W]."""
         first, middle, last = powers
         return (first + 4 * middle + last) * self.h / 6
 
@@ -250,13 +250,13 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
 
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
-    """Returns the power of a semi-active damper beyond its nominal power at the three stages [W], shape (T - 1,) each."""
+    """Returns a damper's power minus its nominal power at start, middle and end of each step [W], shape (T - 1,) each."""
     settings = _settings(one, response, h)
     return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
 
 
 def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array, Array, Array]:
-    """Returns the setting of a semi-active damper relative to the nominal one at the three stages, shape (T - 1,) each."""
+    """Returns a damper's setting minus its nominal setting at start, middle and end of each step, shape (T - 1,) each."""
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
@@ -315,7 +315,7 @@ class _Path:
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
-        """Evaluates T states with the road of the step that begins and, if the road moved, with that of the step that ends."""
+        """Evaluates T states with the road of the step that begins and, if it moved, also with the road of the step that ends."""
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))

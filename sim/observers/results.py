@@ -80,7 +80,7 @@ class Energy(ShownResult):
         dissipated: energy that the dampers dissipate [J].
         turnover: sum of the energy that the dampers dissipate, the energy that the actuators supply and absorb, and the largest
             kinetic energy [J].
-        loads: work done by the loads on the body [J]; None without loads.
+        loads: work done by the loads on the body [J]; None if there are no loads.
         allowed: largest residual that the error of the integrator can explain: the residual of RK4 if no force has a kink,
             otherwise `BALANCE_TOLERANCE`. The limit is larger if half the step leaves a smaller residual.
         residual: largest magnitude over time of the work done minus the stored and dissipated energy, relative to `turnover`.

@@ -6,9 +6,9 @@ characteristics, bump stops, tyres in the air and forces at their limits. Every 
 one step cannot hide an error in another, and all steps can be computed together. Forces and damper coefficients are the commands
 of the controller, with the limits and the lag of the vehicle file.
 
-The state and the forces at a sample also determine all other output signals. These are accelerations at the beginning of the
-step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals must also be the
-same.
+The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
+beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals
+must also be the same.
 """
 
 from collections.abc import Mapping
@@ -87,7 +87,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     further += [expected - measured[name][: len(ahead)] for name, expected in readings.items()]
     apart = np.abs(np.concatenate([ahead - there, *(row[:, None] for row in further)], axis=1))
     between = np.isnan(np.stack([measured[name][: len(ahead)] for name in readings], 1)) if readings else None
-    if between is not None:  # no measurement at this time step
+    if between is not None:  # NaN means that nothing was measured at this time step
         apart[:, -between.shape[1] :][between] = 0.0
     apart /= scales
     apart[~np.isfinite(apart)] = np.inf

@@ -26,7 +26,8 @@ PACKAGE = "roadproof"
 
 
 Schema = tuple[str, str, bytes]  # name, encoding, data
-Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]  # topic, schema, metadata, times [ns] and messages
+# A channel: topic, schema, metadata, times [ns] and messages
+Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]
 
 
 def write_mcap(
@@ -182,7 +183,7 @@ def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
             if when or name == "events":  # an event panel needs its topic even if there are no events
                 yield topic(runs, run, name), _published_schema(kind), {}, when, contents
         low, high = run.scene.extent()
-        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # the cars of all runs stand in a row
+        stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # the cars of all runs are placed in a row
 
 
 def _published_schema(kind: type) -> Schema:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Label, opacity and line width by response. Rerun draws in the order of names, so MuJoCo's line is drawn last, as a thin line
 # over broader lines.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
-NEUTRAL = "#8c8c8c"  # replaces the black of the report, because the user chooses whether viewers are dark or light
+NEUTRAL = "#8c8c8c"  # grey, which replaces the black of the report, because viewers can have a dark or a light background
 LOG_COLOUR = "#ff9f1c"  # colour of a measured log
 # colours of curves that do not belong to a run
 PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]
@@ -167,7 +167,7 @@ def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
 
 
 def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
-    """Returns the signals of runs by page, without those of the road.
+    """Returns the signals of runs by page, without the road signals.
 
     The groups are the overview, all other signals and, for a single run, the states of its controller.
 

@@ -167,7 +167,8 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         return
     texts = [text for _, text in run.events]
     index = time_index(np.array([time for time, _ in run.events]))
-    lines = [f"{WHEN.text(time)}   {text}" for time, text in run.events]  # a narrow view hides the column of times
+    # The text includes the time, because a narrow view hides the column of times
+    lines = [f"{WHEN.text(time)}   {text}" for time, text in run.events]
     recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
     response = run.responses[MUJOCO]
     for text in dict.fromkeys(texts):

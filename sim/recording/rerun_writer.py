@@ -166,7 +166,7 @@ def extremes(curves: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def extremes_text(curves: Sequence[Array]) -> str:
-    """Returns the smallest and the largest value as text; empty without finite values."""
+    """Returns the smallest and the largest value as text; empty if no value is finite."""
     limits = extremes(curves)
     if limits is None:
         return ""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 # Version of the definition of signals at a sample; logs without a version follow the definition of `RoadInput.earlier`
 SIGNALS = 2
-NAME = re.compile(r"[\w-]{1,120}")  # name of a run: the name of its controller, with additions by a command
+NAME = re.compile(r"[\w-]{1,120}")  # allowed name of a run: the controller's name, to which a command may add text
 RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
 # Topics of the responses of a run in an MCAP file, and entities in a Rerun file. In files and in result.json, the exact sampled
 # response is called `linear`; everywhere else it is called "sampled".
@@ -43,7 +43,8 @@ class RunLog:
             name.
         other_signals: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
         diagrams: diagrams of damper and spring forces over velocity or deflection.
-        active: states of the controller, the largest contribution to the force first. Viewers show only the first few states.
+        active: states of the controller, sorted by their contribution to the force, the largest first. Viewers show only the
+            first few states.
     """
 
     public_name = "a log, such as sim.run_log returns"

@@ -251,7 +251,7 @@ OF_A_VEHICLE = (
         "speed",
         "duration",
     ),
-)  # options that do not apply to the page of the gallery
+)  # these options do not apply to the page of the gallery
 
 
 def _gallery(options: argparse.Namespace) -> int:

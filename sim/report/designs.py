@@ -23,7 +23,7 @@ from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
-FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from below the natural frequency of the body to above that of the wheel
+FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from below the body's natural frequency to above the wheel's natural frequency
 
 
 def design_section(scope: Subject) -> Document:
@@ -101,8 +101,8 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     """Returns the table of a controller's gains with a row per measured signal; None if the controller measures nothing.
 
-    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. It contains
-    the amplitude of the force, or of all forces together, as in a Bode plot.
+    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. Its cells
+    contain the amplitude of the force, or of all forces together, as in a Bode plot.
     """
     if not controller.measured:
         return None

@@ -57,8 +57,8 @@ class Processes:
 
         Returns:
             Function that waits for all results and returns them by name. While it waits, the calling process itself runs requests
-            that no other process has started yet, beginning with the last one. If the pool breaks, it also runs the requests
-            without a result.
+            that no other process has started yet, beginning with the last one. If the pool breaks, the calling process also runs
+            all requests that have no result yet.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:

@@ -23,7 +23,7 @@ from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.report import OneEnd
 from synth.controller.report import NORM
 
-PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # quantities of the first figure with panel titles
+PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # titles of the panels in the first figure, by quantity
 
 
 def first_screen(

@@ -8,7 +8,7 @@ A run agrees if two local checks hold:
    includes sampling, delay, noise, quantisation, limits and exported code.
 
 If both checks hold, the trajectory is a solution of the equations and the law. The difference from the linear response is then a
-result, not an error. It is caused by the integrator, geometry, noise, or an event that ends the linear regime.
+result, not an error. Its causes are the integrator, geometry, noise, or an event that ends the linear regime.
 
 Linear analysis applies to such a run because the equations are linear, or nearly linear, until this event. `LinearComparison`
 computes the difference only if it is needed. The verdict does not need it.
@@ -55,7 +55,8 @@ class SignalAgreement:
     """Difference between one simulated signal and linear analysis, as long as linear analysis applies.
 
     Attributes:
-        sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN if there is none.
+        sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN if this response
+            does not exist.
         continuous: largest difference from the response of the continuous closed loop, relative to its peak. The difference
             includes the effect of holding the force over a step. NaN if there is no such response.
         allowed: bound on `sampled` due to the error of RK4 and rounding; NaN if the difference has no bound.
@@ -170,7 +171,7 @@ class Agreement(ShownResult):
             equations.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
             law.
-        code_effect: difference between exported code and the law, which must be small; None without exported code.
+        code_effect: difference between exported code and the law, which must be small; None if there is no exported code.
     """
 
     lift_off: tuple[tuple[float, float], ...]
@@ -231,7 +232,7 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     Args:
         prediction: linear responses of the run.
         recording: recording of the run.
-        code_effect: difference between exported code and the law; None without exported code.
+        code_effect: difference between exported code and the law; None if there is no exported code.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))

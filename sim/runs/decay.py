@@ -1,9 +1,9 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 In a linear loop, the modes determine the motion from sample to sample. A constant matrix therefore maps the state signals at a
-few successive samples to their values one sample later. This matrix is found by least squares, and its eigenvalues are those of
-the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With characteristics
-or large angles, the result is the linear loop that fits the whole decay best.
+few successive samples to their values one sample later. This matrix is found by least squares. Its eigenvalues are the
+eigenvalues of the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With
+characteristics or large angles, the result is the linear loop that fits the whole decay best.
 """
 
 import math
@@ -75,7 +75,7 @@ def modes_of(run: RunResult, response: Response) -> tuple[Mode, ...]:
     blocks = np.concatenate([signals[:, i : i + count] for i in range(LATER)])
     U, sizes, V = np.linalg.svd(blocks, full_matrices=False)
     rank = int((sizes > SMALLEST * sizes[0]).sum())
-    states = sizes[:rank, None] * V[:rank]  # states of the blocks in the coordinates of the first singular vectors
+    states = sizes[:rank, None] * V[:rank]  # states of all blocks, as coordinates along the first singular vectors
     step = np.linalg.lstsq(states[:, :-1].T, states[:, 1:].T)[0].T
     values, vectors = np.linalg.eig(step)
     along = np.linalg.lstsq(vectors, states.astype(complex))[0]

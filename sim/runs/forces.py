@@ -16,7 +16,9 @@ from sim.drive.response import Response
 
 
 def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
-    """Returns the loads over time: their sum in each direction and, if there are several loads, each load; None without loads.
+    """Returns the loads over time: their sum in each direction and, if there are several loads, each load;
+
+    None if there are no loads.
 
     The loads are held over each step at their value midway through the step, as in the simulation.
     """
@@ -45,7 +47,7 @@ def _load_names(loads: Sequence[Load]) -> list[str]:
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]
 
 
-LONGEST = 26  # largest number of characters of a number with its separator
+LONGEST = 26  # largest number of characters that a number and its separator need
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:

@@ -105,7 +105,7 @@ def _worst_line(run: RunResult) -> dict[str, Any] | None:
 
 
 def _shortfall(run: RunResult) -> dict[str, Any]:
-    """Returns the force that semi-active dampers did not supply for JSON; empty without such dampers."""
+    """Returns for JSON the force that semi-active dampers did not supply; empty if there are no such dampers."""
     if not run.vehicle.dampers:
         return {}
     return {"shortfall": FEATURES.load("forces that dampers lack").shortfalls(run.vehicle, run.physics)}
@@ -118,7 +118,7 @@ def _decay(run: RunResult) -> dict[str, Any]:
     return FEATURES.load("decay").record(run)
 
 
-HALF_STEP = Record("difference", "signal")  # change of the response at half the time step after a lift-off
+HALF_STEP = Record("difference", "signal")  # change of the response after a lift-off if the time step is halved
 SIGNAL = Record[tuple[RunResult, str]](
     unit=lambda of: of[0].vehicle.kind.signal(of[1]).unit,
     peak=Record(*SIZES[:3]),

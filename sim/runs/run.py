@@ -252,7 +252,7 @@ def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "R
     """Returns the driver that repeats a run: the law, or the commands if the law would respond differently at another time step.
 
     Args:
-        time: sample times of the repeated run [s]. The time step divides that of the prediction.
+        time: sample times of the repeated run [s]. The time step divides the time step of the prediction.
         share: factor for the forces of a Python control law.
     """
     if not prediction.controller.user_code and (share != 1 or not prediction.varies):

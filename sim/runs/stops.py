@@ -39,7 +39,7 @@ TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s
 
 
 def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
-    """Returns the deepest simulated contact with every stop, by deflection and side; None without contact.
+    """Returns the deepest simulated contact with each stop, by deflection and side; None if there was no contact.
 
     Only the part of a run before it becomes invalid is considered.
     """
@@ -65,7 +65,8 @@ def _is_stop(part: Part) -> bool:
     return any(limit.end == BUMP_STOP.name for limit in part.limits())
 
 
-STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)  # compression [m], force [N] and time [s] of every stop in a run, or None
+# Compression [m], force [N] and time [s] for each stop in a run; None if the stop is not reached
+STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)
 
 
 def stop_note(run: RunResult) -> str:

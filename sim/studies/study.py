@@ -143,12 +143,15 @@ class Study(Generic[R]):
     def requests(self, scope: "Subject") -> Mapping[str, Any]:
         """Returns the requests of the report to this study, by subject; empty if there are none.
 
-        The requests are independent of each other. Each can run in another process.
+        The requests are independent of each other. Each request can run in another process.
         """
         return {}
 
     def for_page(self, result: R) -> Any:
-        """Returns the part of a result that the report needs. It must be picklable, because it may come from another process."""
+        """Returns the part of a result that the report needs.
+
+        This part must be picklable, because it may come from another process.
+        """
         return result
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":

@@ -43,9 +43,9 @@ class Subject:
         timestep: timestep of the simulation [s].
         quick: True to omit margins, map and ride.
         laws: controllers of the report without linear analysis: laws in Python and semi-active laws.
-        front: axes of a trade-off in the syntax of `--front`; None without a trade-off.
+        front: axes of a trade-off in the syntax of `--front`; None if no trade-off is requested.
         loads: loads on the body on a flat road.
-        exported_controller: controller with exported code; None without exported code.
+        exported_controller: controller with exported code; None if there is no exported code.
         own_road: road of the report; None for the paper's bump.
         road_name: name of the road as the user gave it.
         duration: duration of the runs over the road or bump [s].

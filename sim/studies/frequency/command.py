@@ -61,7 +61,8 @@ examples:
     takes = "several"
     usual = ("passive", "state", "I", "II")
     seconds = 5.0
-    stages = ("frequency responses", "norms", "laws in Python")  # LINES, EXTREMES and OWN of `sim.studies.frequency.sweep`
+    # Names of LINES, EXTREMES and OWN in `sim.studies.frequency.sweep`
+    stages = ("frequency responses", "norms", "laws in Python")
 
     def add_options(self, parser: Parser) -> None:
         parser.add_controller_and_vehicle("default: passive, state, I and II")

@@ -21,7 +21,7 @@ from sim.studies.frequency.sinusoids import PeriodicRoad, chirp_lines, drive_per
 from synth.controller.controller import AnyController
 
 SINUSOIDS = 20  # number of frequencies, over the same range as the chirp of linear controllers
-STEADY = 1e-3  # relative change of a fundamental from one period to the next above which a note is printed
+STEADY = 1e-3  # a note is printed if a fundamental changes by a larger share from one period to the next
 
 
 @dataclass(frozen=True, eq=False)

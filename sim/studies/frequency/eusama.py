@@ -52,8 +52,8 @@ class MinimumLoad:
         omega: frequency of this minimum [rad/s].
         driven: predicted minimum at the nearby frequency of the MuJoCo run; may be negative.
         measured: minimum in the MuJoCo run.
-        allowed: allowed difference between `driven` and `measured`. It is infinite for vehicles with nonlinear springs or
-            dampers, because the prediction uses their linearisation.
+        allowed: allowed difference between `driven` and `measured`. The difference is not limited (infinite) for vehicles with
+            nonlinear springs or dampers, because the prediction uses their linearisation.
         ended: names of the limits that were reached and so ended the linear regime.
     """
 

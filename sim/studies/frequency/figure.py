@@ -61,7 +61,7 @@ def sweep_figure(
             i = one.outputs.index(signal)
             sizes = np.abs(one.sampled).max(axis=0)
             if sizes[i] <= SILENT * loudest_alike(sizes, one.units)[i]:
-                # The signal does not move, for example the force of the passive vehicle, or roll on a road with equal sides
+                # The signal is zero, for example the force of the passive vehicle, or roll on a road with equal sides.
                 continue
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])

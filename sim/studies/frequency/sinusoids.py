@@ -32,13 +32,15 @@ ALIASING_LIMIT = (
 # Number of multiples of the sample rate around which images of a line are fitted; images at higher multiples are smaller
 IMAGES = 8
 DEAD = 1e-12  # relative size below which free motion counts as decayed
-# Relative size of free motion that may remain without a fit: if lines are fitted, and if the signals themselves are used.
+# Relative size of free motion that may remain without a fit. The first value applies to fitted lines, the second to signals that
+# are used themselves.
 LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6
 # S, longest wait for free motion to decay; slower free motion, for example of integrators, is fitted and subtracted
 PATIENCE = 10.0
 TOLD_APART = 5.0  # s, duration of the end of a run that suffices to separate slow motion from the lines
 ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in one batch would take gigabytes
-FINEST = 2000  # smallest number of samples in whole periods, such that their frequency is within 0.03 % of the requested one
+# Smallest number of samples in the whole periods, so that the frequency is within 0.03 % of the requested frequency
+FINEST = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +155,8 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
       evaluated samples.
     - A controller whose sample period is longer than the timestep causes additional lines, which resemble free motion. Free
     motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same applies if the
-    signals themselves are used. - The free motion of nonlinear laws is unknown. Their runs have twice as many samples before the
-    evaluated ones. The second
-      half of these samples shows whether the run has settled.
+    signals themselves are used. - The free motion of nonlinear laws is unknown. Runs of nonlinear laws have twice as many samples
+      before the evaluated samples. The second half of these samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:

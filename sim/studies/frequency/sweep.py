@@ -40,9 +40,9 @@ class Sweep:
 
     lines: Lines
     extremes: Extremes
-    sampled: SampledNorm | None  # exact norm of the implemented loop; None without [implementation], or with preview
+    sampled: SampledNorm | None  # exact norm of the implemented loop; None if there is no [implementation], or with preview
     loads: tuple[MinimumLoad, ...]  # minimum load of each tyre in the EUSAMA test
-    without: str  # text with the noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
+    without: str  # text about noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
     # Response over a road of 1/10 or 1/100 of the height, measured if nonlinearity may cause a difference
     small: Lines | None = None
 
@@ -145,7 +145,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 def _failures(one: Sweep, rounds: bool) -> list[str]:
     """Returns a text for each failed claim of a linear law. `rounds` is True for exported code in fixed-point arithmetic."""
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
-    # The effect of rotations decreases with the height of the road, so the response over the lower road decides.
+    # The effect of rotations decreases with the height of the road, so the response over the lower road determines the result.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
         why = "; the timestep is too coarse, give a smaller timestep" if coarse and not rounds else ""

@@ -27,8 +27,8 @@ OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types 
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
-ON_AXIS = 1e-12  # real or imaginary part below which a part of a pole counts as 0, relative to the magnitude of the pole
-REAL = 1e-6  # real part below which a zero counts as imaginary, relative to its magnitude
+ON_AXIS = 1e-12  # if the real or imaginary part of a pole is smaller than this share of the pole's magnitude, it counts as 0
+REAL = 1e-6  # a zero counts as imaginary if its real part is smaller than this share of its magnitude
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> float:
-    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero from the first force to a signal."""
+    """Returns the smallest frequency above 0 [rad/s] of an imaginary zero in the transfer from the first force to a signal."""
     model = designer.vehicle.linear_model
     i = model.outputs.index(one.signal)
     pencil = np.block([[model.A, model.B[:, :1]], [model.C[i : i + 1], model.D[i : i + 1, :1]]])

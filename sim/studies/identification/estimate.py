@@ -216,7 +216,7 @@ class _Residuals:
         return np.concatenate([*(J for J, _ in self._blocks(x, noise, most)), self.known_columns(x)])
 
     def reduced(self, x: Array, noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Returns R and c of a small least-squares problem whose solution is that of the whole one, by QR decomposition.
+        """Returns R and c of a small least-squares problem with the same solution as the whole problem, by QR decomposition.
 
         The derivatives of a long log are never in memory all at the same time. R has the shape (unknowns + 1, unknowns), and c
         the shape (unknowns + 1,).

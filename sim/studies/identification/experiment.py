@@ -1,6 +1,6 @@
 """Experiments: a stretch of a measured log at equidistant times, with the inputs of the vehicle and the sensor signals.
 
-On a dyno, one part of the vehicle is moved alone. Its extension is given, and its force is measured.
+On a dyno, one part of the vehicle is moved alone. The extension of the part is given, and the force is measured.
 """
 
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ class Experiment:
     Attributes:
         name: name of the log, followed by the name of the stretch if the log has several.
         step: time between samples [s].
-        road: road heights under the r wheels [m], shape (T, r); with `hubs`, vertical accelerations of the r hubs [m/s2]. They
+        road: road heights under the r wheels [m], shape (T, r); with `hubs`, vertical accelerations of the r hubs [m/s2]. Values
             are interpolated linearly between samples.
         forces: control forces [N], shape (T, m).
         channels: measured signals.

@@ -93,7 +93,7 @@ class Identification:
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other values. A table in place of a parameter is scaled so that its slope in equilibrium fits."""
+    """Returns a vehicle with other values. If a table replaces a parameter, the table is scaled to the new value."""
     optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
     if missing := {name: value for name, value in values.items() if name in optional}:
         vehicle = vehicle.altered(missing)
@@ -223,7 +223,7 @@ def identify_experiments(
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
-    """Returns the problem without the times in the air. Each stretch after them has its own starting state."""
+    """Returns the problem without the times in the air. Each stretch after a time in the air has its own starting state."""
     experiments, remarks, lifted = list[Experiment](), list[str](), dict(air)
     for i, one in enumerate(problem.experiments):
         if i not in lifted:

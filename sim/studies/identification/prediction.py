@@ -4,15 +4,16 @@ A vehicle with straight springs and dampers has
 
     x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
 
-where v contains the road heights and control forces. They are interpolated linearly between samples, so a matrix exponential for
-[x; v; v'] gives the exact step from sample to sample. It also gives the measurements of a delayed sensor at any time within the
-step.
+where v contains the road heights and control forces. Heights and forces are interpolated linearly between samples, so a matrix
+exponential for [x; v; v'] gives the exact step from sample to sample. The same matrix exponential also gives the measurements of
+a delayed sensor at any time within the step.
 
 The matrices of a step are differentiated by central differences. The recursion that computes the response then also gives the
-derivatives of the response. Their relative error is about 1e-10 for logs of any length, the same as for the matrices.
+derivatives of the response. The relative error of the derivatives is about 1e-10 for logs of any length, the same as for the
+matrices.
 
-A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). Its derivatives are finite differences of
-responses.
+A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). The derivatives of such a vehicle are finite
+differences of responses.
 """
 
 import math

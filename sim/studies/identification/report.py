@@ -35,7 +35,7 @@ SECTION = "identified"
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A row of the parameter table: estimated value, initial value, and an interval or the reason why there is none."""
+    """A row of the parameter table: estimated value, initial value, and an interval or the reason why there is no interval."""
 
     name: str
     unit: str

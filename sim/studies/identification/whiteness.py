@@ -17,7 +17,7 @@ class Whiteness:
 
     Attributes:
         correlations: autocorrelation from lag 1 on, shape (LAGS,).
-        bound: for white residuals, 95 % of the correlations are between -bound and bound.
+        bound: limit such that 95 % of the correlations of white residuals are between -bound and bound.
         outside: share of the correlations outside this range.
         probability: probability that white residuals have correlations at least this large (Ljung and Box, 1978).
         samples: number of residuals.

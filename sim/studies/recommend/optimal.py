@@ -1,7 +1,7 @@
 """Optimal control laws for a vehicle's sensors: LQG, H-infinity (full order, fixed order, static), and preview.
 
-The plant is the linear vehicle with a lag at the forces. Its time constant approximates actuator, delay and hold: 1 / bandwidth +
-    (delay + 1/2) sample periods.
+The plant is the linear vehicle with a lag at the forces. The time constant of the lag approximates actuator, delay and hold: 1 /
+    bandwidth + (delay + 1/2) sample periods.
 The road velocity is white noise with the intensity of the road. Vertical accelerations of the ride points are filtered by W_k.
 
 Weights are given as powers of e relative to typical values, so the search needs no units. A typical value is the passive
@@ -152,7 +152,7 @@ def own_hardware(task: Task) -> DesignConditions:
 
 
 def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
-    """Returns a controller for a law. Its certificate is that of the passive vehicle until `certified` replaces it.
+    """Returns a controller for a law. The controller has the certificate of the passive vehicle until `certified` replaces it.
 
     The certificates of all candidates would take most of the time of a search.
     """

@@ -41,7 +41,7 @@ class Family:
         start: point at which the search begins, shape (k,).
         build: function that returns the candidate for a point.
         evaluations: number of points that are evaluated.
-        factors: for each limit, the ratio of its used share in MuJoCo to the expected one.
+        factors: ratio of the used share in MuJoCo to the expected used share, for each limit.
         rated: stable candidates, each with its rating and point.
         failure: reason why the last failed candidate could not be designed; empty if none failed.
     """

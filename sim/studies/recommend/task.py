@@ -25,7 +25,7 @@ from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
 WINDOW = 10.0  # s, time that is measured on each road
-ROADS = 30  # number of such windows over which linear analysis expects the largest value
+ROADS = 30  # number of windows of length `WINDOW` over which linear analysis expects the largest value
 NOISE = 0.01  # assumed noise of a sensor without noise in the file, relative to the signal's rms without control
 TRAVEL, FORCE = 1.25, 0.5  # assumed limits of stroke and force, relative to the passive car's peak travel and to the static load
 SPEED = 20.0  # m/s, usual
@@ -58,7 +58,7 @@ class Task:
 
     @property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the random road for which candidates are designed: that of the road, or else that of class C."""
+        """Spectrum of the random road for which candidates are designed: from the road, or from class C if it has none."""
         usual = Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle))
         return self.road.spectrum or usual.spectrum
 

@@ -29,7 +29,7 @@ PER_GAP = 8  # smallest number of pieces between two adjacent kinks of the road
 MOST_POINTS = 2_000_000  # largest number of points of a response; in longer runs, the polynomials have a lower degree
 BULGE = 0.1  # largest amount by which a polynomial may exceed its points, relative to their range
 EARLY = 1e-6  # tolerance of times, relative to a step
-ROUNDING = 1e-13  # smallest value that counts as a change of sign, relative to the largest value
+ROUNDING = 1e-13  # a change of sign counts only if the values exceed this share of the largest value
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,8 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
-        for k in (k for k in edges if name in response.before and k % parts == 0):  # first value of a piece after an edge
+        # Values at the start of pieces that begin at an edge
+        for k in (k for k in edges if name in response.before and k % parts == 0):
             values[k // parts, 0] = response.before[name][k]
         pieces[name] = Pieces(start, np.full(steps * cut, h / cut), values)
     return pieces

@@ -9,9 +9,9 @@ response of the implemented loop, the spectrum and the covariance of outputs i a
 
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
 A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is a
-function of the road frequency omega. It includes the images, because it is |H e|^2 at each step of the period. The mean of this
-spectrum over the steps is the sum over the images (Parseval). Means over time are computed as means over the steps. Spreads and
-largest values are computed from the mean spectrum.
+function of the road frequency omega. The spectrum includes the images, because it is |H e|^2 at each step of the period. The mean
+of this spectrum over the steps is the sum over the images (Parseval). Means over time are computed as means over the steps.
+Spreads and largest values are computed from the mean spectrum.
 
 The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
 then equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary
@@ -20,13 +20,13 @@ of time, and power and energy of held forces. The integral in the vibration dose
 sigma^4 for a Gaussian acceleration a. For nonlinear springs and dampers, equivalent lines are used
 (`statistical_linearisation.py`), which is an approximation.
 
-Expected largest values are approximate. They are too large if the window is short compared with the decay time of the vehicle.
-These errors were found by comparison with linear responses over 200 roads, for three built-in vehicles with `passive`, `I` and
-`II`, at 10, 20 and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12 % for
-the travel of the passive quarter-car. The expected values are too large, except crest factors of well damped loops: these are up
-to 4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are too
-large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up to
-45 % too large, because its formula assumes a window much longer than the decay time.
+Expected largest values are approximate. These values are too large if the window is short compared with the decay time of the
+vehicle. These errors were found by comparison with linear responses over 200 roads, for three built-in vehicles with `passive`,
+`I` and `II`, at 10, 20 and 35 m/s over 10 s. The errors are at most 2.5 % for MTVV, 5 % for crest factors, 7 % for peaks, and 12
+% for the travel of the passive quarter-car. The expected values are too large, except crest factors of well damped loops: these
+are up to 4 % too small, and up to 7 % for windows of 3 s. For light damping (100 N s/m, 10 to 35 m/s, 3 and 10 s), all values are
+too large by up to 8 % (VDV), 9 % (MTVV), 14 % (crest factors) and 23 % (largest travel). The spread from road to road is then up
+to 45 % too large, because its formula assumes a window much longer than the decay time.
 
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
 response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel
@@ -166,7 +166,7 @@ def settled_shares(
 
 
 FORGOTTEN = 0.01  # share of its final variance that the slowest mode may still lack when the measurement begins
-EXACT = 1e-4  # relative error of an integral above which an error is reported
+EXACT = 1e-4  # the error of an integral is reported if it exceeds this share
 
 
 @dataclass(frozen=True, eq=False)

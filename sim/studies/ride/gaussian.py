@@ -15,8 +15,8 @@ rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, on
 integral of S^2 df / T.
 
 The other statistics are approximate. The largest magnitude has Vanmarcke's distribution for both barriers (E. H. Vanmarcke
-(1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. Its distribution is assumed to be a gamma
-distribution, and its fluctuations to be those of a Gaussian signal with the same spectrum.
+(1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. The distribution of the running mean square is
+assumed to be a gamma distribution. Its fluctuations are assumed to be like those of a Gaussian signal with the same spectrum.
 """
 
 import math
@@ -30,7 +30,7 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 
 from models.common.arrays import Array
 
-LEVELS = np.linspace(0.0, 12.0, 1201)  # levels relative to sigma; no run is long enough to exceed the largest
+LEVELS = np.linspace(0.0, 12.0, 1201)  # levels relative to sigma; no run is long enough to exceed the largest level
 BIN = 1 / 64  # width of a bin of a coarse spectrum [Hz], sufficient for a running mean over 1 s
 DEGREES = (2, 3, 4, 5, 6)  # degrees of the Hermite polynomials that are included for a clipped square
 
@@ -90,7 +90,7 @@ class Gaussian:
         a = clip / self.sigma
         total, power = 0.0, correlation.copy()
         for k in DEGREES:
-            power *= correlation  # correlation^k; a product is a hundred times faster than a power
+            power *= correlation  # correlation^k, computed by products, which are a hundred times faster than powers
             memory = square if k == 2 else float(np.sum(power)) * step - step / 2
             total += _hermite_of_clipped_square(k, a) ** 2 / math.factorial(k) * min(2 * max(memory, 0.0) / window, 1.0)
         return self.sigma**4 * total
@@ -123,7 +123,8 @@ class Gaussian:
         pairs[0] /= 2
         low = 1 / (1 + (2 * np.pi * apart * memory) ** 2)
         slow = float(pairs @ low)
-        sums = np.convolve(mass[: 8 * 64], mass[: 8 * 64])  # up to 8 Hz, because the running mean suppresses higher frequencies
+        # Frequencies up to 8 Hz suffice, because the running mean suppresses higher ones
+        sums = np.convolve(mass[: 8 * 64], mass[: 8 * 64])
         quick = float(sums @ (1 / (1 + (2 * np.pi * (np.arange(len(sums)) + 1) * BIN * memory) ** 2)))
         variance = slow + quick
         # Rms of the derivative of the slow part, relative to the rms of this part

@@ -226,7 +226,7 @@ class RideStudy(Study[tuple[list[Ride], list[Score]]]):
         return {"": scope} if not scope.quick and (scope.stable or scope.laws) else {}
 
     def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Score]]:
-        """Returns the ride of all stable controllers and nonlinear laws, and their scores with that of the passive vehicle."""
+        """Returns the ride of all stable controllers and nonlinear laws, and their scores including the passive vehicle."""
         reported = (*request.stable, *request.laws)
         driven = [OverRoads(request.vehicle, one, request.timestep) for one in reported]
         passive = [] if any(one.name == PASSIVE for one in reported) else [request.designer.design(PASSIVE)]

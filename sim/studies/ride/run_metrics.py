@@ -45,7 +45,7 @@ NO_ANGLE = 1e-9  # deg, largest rounding error of angles that symmetry keeps at 
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
-    """Returns all IRIs of the part of a road that a vehicle drives in a run, one per track.
+    """Returns the international roughness indices of the part of a road that a vehicle drives in a run, one per track.
 
     Args:
         vehicle: the vehicle.
@@ -56,7 +56,7 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
 
 
 def roughness(found: Sequence[Roughness]) -> dict[str, Any]:
-    """Returns the IRIs [m/km] of a road by name for JSON; empty for a road without an IRI."""
+    """Returns the international roughness indices (IRI) of a road [m/km] by name, for JSON; empty for a road without an IRI."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 
@@ -179,7 +179,7 @@ def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tupl
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
-    """Returns a clause that explains why the measurement on a random road begins at a time.
+    """Returns a clause that explains why the measurement on a random road begins at the given time.
 
     Args:
         driven: pairs of vehicle and controller that are compared.

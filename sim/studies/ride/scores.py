@@ -1,6 +1,6 @@
 """Scores of controllers for a comparison: ride, travel, tyre load and force, and the best controller for each quantity.
 
-If a vehicle has several wheels, suspensions or actuators, each value is that of the worst wheel, suspension or actuator.
+If a vehicle has several wheels, suspensions or actuators, each value is for the worst wheel, suspension or actuator.
 """
 
 import math
@@ -37,7 +37,7 @@ class Score:
         vehicle: name of the vehicle, if several are compared; otherwise empty.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
         strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
-            stroke. A side without a stop is omitted. It is empty if there are no stops or no run.
+            stroke. A side without a stop is omitted. `strokes` is empty if there are no stops or no run.
     """
 
     controller: str
@@ -81,7 +81,7 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def with_faults(scores: Iterable[Score], vehicle: Vehicle, controllers: Iterable[AnyController]) -> list[Score]:
-    """Returns the rows of a vehicle with the fault of each controller."""
+    """Returns the rows of a vehicle, with the fault of each controller filled in."""
     faults = {one.name: law_fault(vehicle, one) for one in controllers}
     return [replace(one, fault=faults.get(one.controller, "")) for one in scores]
 

@@ -2,9 +2,9 @@
 
 The *curve* is the characteristic of a nonlinear spring or damper. `synth.controller.equivalent_line.py` computes the line.
 
-The remainder is the difference between curve and line. It is included to second order. The remainder acts as a noise force, which
-also contains frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle; without the
-remainder, travel would be about 5 % too small.
+The remainder is the difference between curve and line. The remainder is included to second order. The remainder acts as a noise
+force, which also contains frequencies below those of the road. This noise mainly excites a slow mode of the controlled vehicle;
+without the remainder, travel would be about 5 % too small.
 
 For a Gaussian signal x = m + s z with mean m and standard deviation s, a curve F is a sum of Hermite polynomials of z,
 
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 DEGREES = (2, 3, 4)  # degrees of the Hermite polynomials that are included
 COUNT = 4096  # number of frequencies
 HIGHEST = 2 * np.pi * 125.0  # smallest upper end of the frequencies [rad/s]
-ABOVE = 6.0  # upper end of the frequencies for a faster vehicle, relative to the frequency of its fastest oscillation
+ABOVE = 6.0  # for a fast vehicle, upper end of the frequencies relative to the frequency of its fastest oscillation
 MEMORY_CONSISTENT = 1e-6  # relative change at which the iteration ends
 MEMORY_DIRECT = 10  # number of iterations with full steps
 MEMORY_ROUNDS = 100  # largest number of iterations

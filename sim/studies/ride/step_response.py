@@ -116,7 +116,7 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
     Args:
         pieces: the signal over the run.
         final: final value.
-        height: True if the final value is not zero, for example that of a height.
+        height: True if the final value is not zero, for example for a height.
         half_band: half width of the band, in the unit of the signal.
     """
     error = pieces.less(final)
@@ -187,7 +187,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
 def _lasting_outputs(run: Run) -> Array:
     """Returns the final values of all output signals after a step of 1 m under all wheels, shape (p,).
 
-    For an unstable loop, these are the values without a control force.
+    For an unstable loop, the values are computed without a control force.
     """
     model, loop = run.vehicle.linear_model, run.prediction.loop
     usual = model.Cr.sum(axis=1)

@@ -2,11 +2,11 @@
 
 The constants of the transfer function H(s) are in `models/laws/filter.py`. Controller designs can use the same weighting.
 
-The sampled filter is exactly H with a first-order hold. It consists of parallel second-order recursions, one for each pair of
-poles. The hold attenuates high frequencies by the factor d / (omega h)^2 with d = 2 - 2 cos(omega h) and the timestep h. A filter
-with seven taps compensates for this attenuation: 1 + d/12 + d^2/90 + d^3/560, from the series of the squared arcsine. The
-remaining relative error is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms and 1e-4 for 2 ms. For 5 ms,
-the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
+The sampled filter is exactly H with a first-order hold. The filter consists of parallel second-order recursions, one for each
+pair of poles. The hold attenuates high frequencies by the factor d / (omega h)^2 with d = 2 - 2 cos(omega h) and the timestep h.
+A filter with seven taps compensates for this attenuation: 1 + d/12 + d^2/90 + d^3/560, from the series of the squared arcsine.
+The remaining relative error is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 for a timestep of 1 ms and 1e-4 for 2 ms. For 5
+ms, the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
 """
 
 from collections.abc import Callable, Sequence

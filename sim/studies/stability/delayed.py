@@ -53,7 +53,7 @@ def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
         moved[k + 1] = moved[k] @ Phi
     seen = G @ moved[:-1]  # requested force per unit of the state k samples earlier, shape (delay, m, n)
     pushed = moved[-2::-1] @ Gamma  # state at the end per unit of force in step k, shape (delay, n, m)
-    length = 2 ** (2 * delay - 1).bit_length()  # long enough that the convolution does not wrap around
+    length = 2 ** (2 * delay - 1).bit_length()  # this length is sufficient that the circular convolution does not wrap around
     # Requested force per unit of the force that acted k samples earlier.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
 

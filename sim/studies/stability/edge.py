@@ -48,7 +48,7 @@ class StabilityEdge:
         stable: largest stable amount below `unstable`. An amount of zero is assumed to be stable.
         unstable: smallest unstable amount; infinite if all tried amounts are stable.
         searched: True after the search.
-        runs: growth rates of the runs on both sides of the limit [1/s], by amount; NaN if a run is too short to show its rate.
+        runs: growth rate of each run on the two sides of the limit [1/s], by amount; NaN if a run is too short to show the rate.
     """
 
     step: StateSpace

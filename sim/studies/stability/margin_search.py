@@ -146,8 +146,8 @@ class GainMargin:
     def agrees(self) -> bool:
         """True if MuJoCo confirms the predicted margin of the sampled loop at each timestep, and of the continuous loop.
 
-        The error of an extrapolation is of second order in the timestep. It is less than half of the change between the two
-        steps.
+        The error of an extrapolation is of second order in the timestep. The error is less than half of the change between the
+        two steps.
         """
         here = all(_close(at, search.found, AGREES * at) and search.confirmed for at, search in self.tried)
         coarse, fine = (one.found for one in self.searches[-2:])
@@ -401,7 +401,7 @@ def _gain_margins(
         return LoopCase(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
-        # An amount is a factor above 1. It multiplies the gain (power 1) or divides the gain (power -1).
+        # An amount is a factor above 1. The factor multiplies the gain (power 1) or divides the gain (power -1).
         def amount(step: float, k: int = power) -> float:
             return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
 

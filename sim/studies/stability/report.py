@@ -20,7 +20,7 @@ from synth.analysis.specification import FREQUENCY
 from synth.controller.law_margins import TURN, decibels
 from synth.controller.stability_margins import LARGEST_FACTOR
 
-IMPLEMENTED_MARGINS = "gain", "phase", "disk"  # margins of the implemented loop
+IMPLEMENTED_MARGINS = "gain", "phase", "disk"  # names of the margins of the implemented loop
 AGREES = {True: "agrees", False: "DOES NOT AGREE"}
 UNDECIDED_NOTE = "undecided: the slowest mode hardly changes"
 

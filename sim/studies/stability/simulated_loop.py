@@ -24,7 +24,7 @@ from synth.plant.state_space import StateSpace
 STANDS = 1e-6  # 1/s; a smaller growth rate counts as 0, because the error of the finite differences is a tenth of this rate
 SMALL = 1e-6  # m or rad; largest coordinate of the initial state of a run
 FREE = 1e-2  # largest force in a run that starts in the slowest mode, relative to the force limit
-ACTING_STATE = "acting_{}"  # names of the states that contain acting forces
+ACTING_STATE = "acting_{}"  # pattern for the names of states that contain acting forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,8 @@ class LoopCase:
     Attributes:
         vehicle: vehicle with sample period and delay of the controller.
         controller: the controller.
-        undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is none.
+        undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is no second
+            controller.
     """
 
     vehicle: Vehicle
@@ -123,7 +124,9 @@ def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
 
 
 def _held_forces(step: StateSpace, undelayed: Controller | None) -> StateSpace:
-    """Returns the model of a step with held forces. Its state is [z; acting forces; states of the undelayed controller].
+    """Returns the model of a step with held forces.
+
+    The state of this model is [z; acting forces; states of the undelayed controller].
 
     Args:
         step: derivative of MuJoCo's step, whose state is z.

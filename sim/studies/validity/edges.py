@@ -15,7 +15,7 @@ from sim.studies.validity.grid import UNITS
 from sim.studies.validity.regime_map import Cells
 
 LINES = 4  # largest number of lines of the map in the printed table
-PARTS = 2  # largest number of limits in a row of the table
+PARTS = 2  # largest number of limits that one row of the table lists
 HEIGHT = Field[float]("height", float, ".4g", unit="m")
 TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 

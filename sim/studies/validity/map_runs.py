@@ -35,7 +35,7 @@ class MapRun:
         broke_off: reason why the run was aborted, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it was not aborted.
         error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to its peak.
         missing: rms of the force that semi-active dampers could not apply, relative to the rms of the requested force. The value
-            is 0 if no force was requested, and NaN without semi-active dampers.
+            is 0 if no force was requested, and NaN if there are no semi-active dampers.
     """
 
     share: float

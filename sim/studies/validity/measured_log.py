@@ -21,7 +21,7 @@ from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
 LEAST_OVERLAP = 0.5  # smallest overlap of log and run for a correlation, relative to the shorter of the two
-MOST_SAMPLES = 2**21  # largest number of samples of log and run for the correlation
+MOST_SAMPLES = 2**21  # largest number of samples of log and run that are correlated
 WEAK = 0.5  # if the correlation is smaller, a remark asks the user to check the start
 OFFSET = 0.1  # a remark is printed if removing an offset improves the fit by more
 # A wrong sign is suggested if the correlation with the opposite sign is at least this large, and this many times larger than with

@@ -31,7 +31,8 @@ from synth.controller.controller import Controller, is_linear
 
 BOUNDARY = 0.01  # a cell is at a boundary if a relative change of the height by this amount changes the prediction
 AT_ONCE = 64  # number of responses that are computed simultaneously
-FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20  # smallest number of simulated cells and of edges, and their shares of all cells
+# Smallest number of random cells and of edges to simulate; shares of all cells for random cells and for edges.
+FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20
 CLOSE = 1.1  # a cell counts as near the edge if its height is within this factor of the edge
 WITHIN = 1.004  # factor between the height of the edge and the heights of the two runs that enclose the edge
 
