@@ -1,9 +1,8 @@
-"""Functions shared by commands that simulate controllers: choice of controllers, warnings, printed text, viewer and logs."""
+"""Functions shared by commands that simulate controllers: choice of controllers, warnings, viewer and logs."""
 
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,17 +11,12 @@ from models.common.command import complain
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import Whole, pasted_path, show
-from models.document.document import Document, notes, statements
-from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
-from sim.runs.report import FEW, describe_run, sentences, share_statements
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
-from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.loop_of import loop_of
-from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
     from models.common.logs.measured_log import MeasuredLog
@@ -188,13 +182,13 @@ def write_histories(
     return outputs
 
 
-def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
+def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, heading: bool = True) -> list[str]:
     """Returns the printed lines about recorded files and how to open them; empty if nothing was recorded.
 
     Args:
         logs: recorded files by type, one mapping for each vehicle. For several vehicles, one line with the folder is returned.
         brief: True to return no lines.
-        runs: recorded runs. For more than `FEW` runs, only the paths are returned, without an empty line and a heading.
+        heading: True for an empty line and a heading above the paths.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
@@ -202,7 +196,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
     if len(paths) > 1:
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
     files = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}"), Whole(f"  {pasted_path(paths[0]['mcap'])}")]
-    return [*(["", LOGS] if len(runs) <= FEW else []), *files]
+    return [*(["", LOGS] if heading else []), *files]
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -251,27 +245,3 @@ def run_named(
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
     warn_invalid_certificates(controllers)
     return run_controllers(vehicle, controllers, road, time)
-
-
-def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
-    """Returns the printed lines about runs, above the table that compares the controllers.
-
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
-    reasons why a run fails or diverges.
-
-    Args:
-        runs: runs of one or more controllers.
-        passive: MuJoCo's response of the passive vehicle for `-v`, which prints every run in full; None for the short text.
-    """
-    if passive is not None:
-        documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
-        documents = [replace(one, blocks=one.blocks[1:]) for one in documents]  # verdicts are the last lines of the command
-        return [line for one in documents for line in ["", *text_lines(one, "full")]]
-    few = len(runs) <= FEW
-    said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]
-    lines = text_lines(Document("", share_statements(each for each in said if few or each[1].state == "fails")))
-    if not few:
-        margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}
-        studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
-        lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
-    return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []

@@ -16,7 +16,8 @@ from sim.linear.prediction import LINEAR, NONLINEAR
 from sim.observers.results import DIFFERENCE, WHEN
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
-from sim.runs.report import SIZES, energy_table, run_statements
+from sim.runs.record import SIZES
+from sim.runs.report import energy_table, run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, history_figure
 from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics, measured_words

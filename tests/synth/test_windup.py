@@ -18,7 +18,8 @@ from sim.drive.drive import drive
 from sim.drive.loop import DIVERGENCE_LIMIT, Block
 from sim.observers.ends import Ends
 from sim.observers.results import BALANCE_TOLERANCE
-from sim.runs.report import controller_notes, controller_record, events, reasons, verdict
+from sim.runs.record import controller_record
+from sim.runs.report import controller_notes, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride import run_metrics
 from sim.studies.validity.regime_map import validity
