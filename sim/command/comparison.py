@@ -19,7 +19,7 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import loop_of
 
 if TYPE_CHECKING:
-    from models.common.logs.measured_log import MeasuredLog
+    pass
 
 
 def controllers_of(
@@ -134,29 +134,6 @@ def record_command_runs(
     from sim.recording.run_records import record_runs
 
     return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result(), measured)}
-
-
-def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "MeasuredLog | None":
-    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None without this option.
-
-    Raises:
-        InputError: the log cannot be read (see `read_measured_log`), or an option is given that needs `--beside`.
-    """
-    if options.beside is None:
-        for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
-            if name.startswith("beside"):
-                option = f"--{name}".replace("_", "-")
-                raise InputError(f"{option} describes a measured log; give its file with --beside, or omit the option")
-        return None
-
-    columns = dict[str, str]()
-    for text in options.beside_column:
-        name, _, heading = text.partition("=")
-        if not (name and heading) or name in columns:
-            raise InputError(f"--beside-column {text}: give each signal once, with its heading, as in SIGNAL=HEADING")
-        columns[name] = heading
-    units = {signal.name: signal.unit for vehicle in vehicles for signal in vehicle.kind.signals}
-    return FEATURES.load("measured logs").read_measured_log(options.beside, units, options.beside_rate, columns)
 
 
 def write_histories(

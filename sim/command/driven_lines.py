@@ -10,6 +10,7 @@ from models.common.extensions import FEATURES
 from models.common.printed import FEW, title_lines
 from models.document.document import Document, Statement, notes, statements
 from models.document.text import text_lines
+from sim.command.driven import VehicleRuns
 from sim.command.road_options import end_lines, starts_later
 from sim.runs.report import describe_run, sentences, share_statements, verdicts
 from sim.runs.run import Run
@@ -18,13 +19,12 @@ from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
-    from sim.command.driving import VehicleRuns
     from sim.studies.ride.scores import Score
 
 
 def driven_lines(
     options: Namespace,
-    driven: "Sequence[VehicleRuns]",
+    driven: Sequence[VehicleRuns],
     where: str,
     scores: "Sequence[Score]",
     about: str,
@@ -84,7 +84,7 @@ def driven_lines(
     return [*lines, *below, "", *text_lines(Document("", verdicts(shown)))]
 
 
-def _start_lines(options: Namespace, driven: "Sequence[VehicleRuns]") -> list[str]:
+def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]:
     """Returns the printed lines about the start of runs whose ride is measured."""
     lines = list[str]()
     for each in driven:

@@ -1,10 +1,9 @@
 """The part that `sim.bump` and `sim.drive` share: simulate controllers over one road, and compare with linear analysis."""
 
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
-from itertools import zip_longest
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,77 +16,17 @@ from models.document.document import Document
 from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import text_lines
 from models.roads.road import Road
-from models.vehicle.names import logged_variant, named_files, run_without, variant, without_copies
+from models.vehicle.names import named_files, run_without, without_copies
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
+from sim.command.driven import VehicleRuns
 from sim.command.road_options import gaps, left_out_lines, with_start
-from sim.drive.response import Response
-from sim.runs.record import HALF_STEP, RUN
-from sim.runs.run import Run, passive_beside, run_controllers, sample_times
+from sim.runs.run import passive_beside, run_controllers, sample_times
 from sim.studies.ride.scores import scores_of_runs, scores_record
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
-    from sim.studies.ride.run_metrics import RunMetrics
-    from sim.studies.validity.measured_log import SignalFit
-
-
-@dataclass(frozen=True, eq=False)
-class VehicleRuns:
-    """The runs of one vehicle file.
-
-    Attributes:
-        vehicle: vehicle of the file.
-        title: title of the vehicle in printed results; empty if there is only one vehicle.
-        names: requested controllers.
-        runs: runs with the whole vehicle file, then the runs in which a part of the vehicle is omitted (`--without`).
-        without: omitted part for each run, such as noise; empty for runs with the whole vehicle file.
-        passive: MuJoCo's response of the passive vehicle.
-        metrics: ride metrics of each run; empty if none are measured.
-        fits: comparison of each run with a measured log; empty without a log.
-    """
-
-    vehicle: Vehicle
-    title: str
-    names: Sequence[str]
-    runs: Sequence[Run]
-    without: Sequence[str]
-    passive: Response
-    metrics: "Sequence[RunMetrics]" = ()
-    fits: "Sequence[Mapping[str, SignalFit]]" = ()
-
-    @property
-    def implemented_runs(self) -> list[Run]:
-        """The runs with the whole vehicle file, in which no part is omitted."""
-        return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
-
-    @cached_property
-    def named_runs(self) -> list[Run]:
-        """The runs, each with its name in the printed results."""
-        pairs = zip(self.runs, self.without, strict=True)
-        return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
-
-    def logged(self) -> dict[str, Run]:
-        """Returns the runs by their names in a log."""
-        return {f"{run.controller.name}{logged_variant(part)}": run for run, part in zip(self.runs, self.without, strict=True)}
-
-    @property
-    def objects(self) -> list[dict[str, Any]]:
-        """The runs as JSON objects. The title of the vehicle and the omitted part are included if they are not empty."""
-        return [
-            RUN(run)
-            | {"half_step": run.half_step and HALF_STEP(run.half_step)}
-            | {key: text for key, text in (("vehicle", self.title), ("without", part)) if text}
-            | ({"beside": {name: one.record for name, one in fits.items()}} if fits else {})
-            for run, part, fits in zip_longest(self.runs, self.without, self.fits)
-        ]
-
-
-def _rename_run(run: Run, name: str) -> Run:
-    if run.controller.name == name:
-        return run
-    controller: Any = run.controller  # all driver classes are dataclasses with a field `name`
-    return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))
+    pass
 
 
 def drive(
@@ -117,7 +56,9 @@ def drive(
         for remark in gaps(road, options.duration):
             complain(remark)
     comparison.check_view(options)
-    log = comparison.measured_log(options, vehicles.values())
+    log = None
+    if options.beside_column or any(name.startswith("beside") for name in options.given):
+        log = FEATURES.load("comparison with a measured log").requested_log(options, vehicles.values())
     texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # options of sim.drive
     files = [*(file for vehicle in vehicles.values() for file in vehicle.files), *named_files(texts)]
     files += [options.beside] if log else []

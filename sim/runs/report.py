@@ -64,12 +64,9 @@ NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 deg
 NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
 LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
-ENERGY: tuple[Field[Energy], ...] = (
-    *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
-    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="exchanged [J]"),
-    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="residual"),
-    Field("allowed", attrgetter("allowed"), "{:.1e}".format),
-)
+EXCHANGED = Field[Energy]("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="exchanged [J]")
+RESIDUAL = Field[Energy]("residual", attrgetter("residual"), "{:.1e}".format, column="residual")
+ALLOWED = Field[Energy]("allowed", attrgetter("allowed"), "{:.1e}".format)
 FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 WHOLE = "signal, over the whole run"
@@ -82,14 +79,6 @@ def line_words(run: RunResult) -> str:
         return ""
     off = max(errors.values())
     return f"off by {percent(off)} of a peak" if off < FAR_OFF else f"off by more than {FAR_OFF:g} times a peak"
-
-
-def energy_table(runs: Sequence[RunResult], where: str) -> Table:
-    """Returns the table of the energy balances of all runs."""
-    known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
-    name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
-    fields = (name, *(field.of(get) for field in ENERGY))
-    return Table.of("energy", f"Energy balance over {where}.", fields, known)
 
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
@@ -365,7 +354,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
     energy = run.energy
     if energy is None:
         return
-    of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} exchanged"
+    of = f"{RESIDUAL.cell(energy)} of the {EXCHANGED.text(energy.turnover)} exchanged"
     if energy.least is not None and energy.least < 0 and energy.fails:
         given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it absorbed"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
@@ -377,7 +366,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, {ENERGY[-1].cell(energy)} is allowed"
+        more = f"{of} is neither stored nor dissipated, {ALLOWED.cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
@@ -414,17 +403,9 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
         verdict(run),
         *notes(*first),
         *notes(*others, detail="full"),
-        *notes(*_decay_words(run)),
+        *notes(*filter(None, [FEATURES.load("decay").decay_words(run)] if run.vehicle.start else [])),
         *reasons(run, full),
     )
-
-
-def _decay_words(run: RunResult) -> list[str]:
-    """Returns a sentence on the free decay of a run from a given start; empty if there is no given start."""
-    if not run.vehicle.start:
-        return []
-
-    return [words] if (words := FEATURES.load("decay").decay_words(run)) else []
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:

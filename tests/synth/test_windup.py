@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.document.text import text_lines
 from models.laws.linear import LinearLaw
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
@@ -124,7 +123,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert np.all(np.isfinite(run.physics.until(when).values))
     assert np.abs(run.physics.until(when)["controller_1"][-1]) > 1e300
     found = run_metrics.measure_run(run, first=100)
-    metrics = text_lines(run_metrics.describe(run, found, 0.1, 0.6, ()), "full")
+    metrics = run_metrics.basis(run, found)
     text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metrics])
     assert f"law overflow: the states of the control law overflow; from {when:.4g} s on, the law requests no finite force" in text
     assert f"This run has no metrics: law overflow at {when:.4g} s." in text

@@ -33,7 +33,6 @@ from sim.studies.ride.expected import (
     settling_time,
 )
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
-from sim.studies.ride.scores import FIELDS, columns_of
 from sim.studies.ride.statistical_linearisation import Equivalent, line_words
 from sim.studies.ride.statistical_linearisation import record as of_line
 from synth.controller.controller import AnyController
@@ -281,11 +280,11 @@ def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
     A cell is of the wheel, suspension or actuator with the largest expected value. The result is empty without expected values.
     """
     mean, spread = {"controller": f"{run.controller.name}, expected"}, {"controller": f"{run.controller.name}, +- by road"}
-    columns = columns_of(run.vehicle)
-    for field in FIELDS:
-        known = [one for name in columns.get(field.key, ()) if (one := metrics.metrics[name]).expected is not None]
-        if known:
+    for some in compared_metrics(run.vehicle).values():
+        known = [one for each in some if (one := metrics.metrics[each.name]).expected is not None]
+        if known and (column := some[0].column) is not None:
             worst = max(known, key=EXPECTED_VALUE.value)
+            field = Field[float](column.label, float, three_digits, column.scale, unit=column.unit)
             mean[field.title] = f"{'~' if worst.approximate and worst.expected else ''}{field.digits(worst.expected)}"
             spread[field.title] = field.digits(worst.spread)
     return [mean, spread] if len(mean) > 1 else []
@@ -348,7 +347,7 @@ def broken_off_sentence(run: Run) -> list[str]:
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     """Returns the document with the largest angles of the body under loads, and the expected ride over random roads.
 
-    The expected ride has the detail "normal" for up to `FEW` runs. The table of `-v` has it, see `expected_cells`.
+    For more than `FEW` runs, the expected ride is a detail.
     """
     angles = [
         {
