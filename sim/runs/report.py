@@ -64,8 +64,8 @@ NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 deg
 NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
 LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
-EXCHANGED = Field[Energy]("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="exchanged [J]")
-RESIDUAL = Field[Energy]("residual", attrgetter("residual"), "{:.1e}".format, column="residual")
+EXCHANGED = Field[Energy]("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]")
+RESIDUAL = Field[Energy]("residual", attrgetter("residual"), "{:.1e}".format, column="left over")
 ALLOWED = Field[Energy]("allowed", attrgetter("allowed"), "{:.1e}".format)
 FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
@@ -359,8 +359,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the most that it absorbed"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
     elif energy.balances:
-        sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
-        yield Statement(f"energy of {sources} balances, to {of}")
+        yield Statement(f"energy balances, to {of}{'' if energy.loads is None else ', work of loads included'}")
     elif not energy.judged or run.physics.law_diverged:
         why = "the law overflows" if energy.judged else "the timestep is too coarse"
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
