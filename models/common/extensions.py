@@ -94,7 +94,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "motion ratios over travel": "models.characteristics.ratio_table",
         "stops": "models.parts.stops.stop",
         "surfaces": "models.characteristics.surface",
-        "measured logs": "models.common.logs.measured_log",
         "editing of TOML": "models.common.toml_edit",
         "figures in notebooks": "models.document.notebook",
         "pages": "models.document.page",

@@ -179,6 +179,7 @@ def fit_lines(lines: Iterable[str]) -> list[str]:
 
 
 LINES = 24  # height of a terminal
+FEW = 3  # controllers with separate statements; with more, the output would not fit into a terminal
 
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:

@@ -81,8 +81,8 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     columns[0] = tuple(f"{GAP * several}{cell}" for cell in columns[0])
     columns = [*columns[:words], *map(_align_column, columns[words:])]
     shown, widths = columns, list[int]()
-    gap = GAP if len(one.rows) < LONG else " "
-    for short, most in itertools.product((CHANGE.strip(), "%"), range(1, HEADING + 1)):
+    gaps = (GAP, " ") if len(one.rows) < LONG else (" ",)
+    for gap, short, most in itertools.product(gaps, (CHANGE.strip(), "%"), range(1, HEADING + 1)):
         tops = [_heading(short if heading.endswith(CHANGE) else heading, most) for heading, *_ in columns]
         high = max(map(len, tops))
         shown = [[*[""] * (high - len(top)), *top, *cells] for top, (_, *cells) in zip(tops, columns, strict=True)]

@@ -32,7 +32,7 @@ from sim.campaign.summary import compare, compared_lines, describe, summarise, t
 from sim.campaign.verify import verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.drive import RUNS_AT_ONCE
-from sim.studies.ride.score_table import scores_record
+from sim.studies.ride.scores import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # a remark is printed if a road from a file covers a smaller share of the run

@@ -1,9 +1,8 @@
-"""Functions shared by commands that simulate controllers: choice of controllers, warnings, printed text, viewer and logs."""
+"""Functions shared by commands that simulate controllers: choice of controllers, warnings, viewer and logs."""
 
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,20 +11,15 @@ from models.common.command import complain
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import Whole, pasted_path, show
-from models.document.document import Document, notes, statements
-from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
-from sim.runs.report import FEW, describe_run, sentences, share_statements
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
-from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.loop_of import loop_of
-from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
-    from models.common.logs.measured_log import MeasuredLog
+    pass
 
 
 def controllers_of(
@@ -142,29 +136,6 @@ def record_command_runs(
     return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result(), measured)}
 
 
-def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "MeasuredLog | None":
-    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None if the option is not given.
-
-    Raises:
-        InputError: the log cannot be read (see `read_measured_log`), or an option is given that needs `--beside`.
-    """
-    if options.beside is None:
-        for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
-            if name.startswith("beside"):
-                option = f"--{name}".replace("_", "-")
-                raise InputError(f"{option} describes a measured log; give its file with --beside, or omit the option")
-        return None
-
-    columns = dict[str, str]()
-    for text in options.beside_column:
-        name, _, heading = text.partition("=")
-        if not (name and heading) or name in columns:
-            raise InputError(f"--beside-column {text}: give each signal once, with its heading, as in SIGNAL=HEADING")
-        columns[name] = heading
-    units = {signal.name: signal.unit for vehicle in vehicles for signal in vehicle.kind.signals}
-    return FEATURES.load("measured logs").read_measured_log(options.beside, units, options.beside_rate, columns)
-
-
 def write_histories(
     options: argparse.Namespace, runs: Sequence[Run], where: str, measured: Response | None = None
 ) -> dict[str, Path | None]:
@@ -188,14 +159,14 @@ def write_histories(
     return outputs
 
 
-def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
+def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, heading: bool = True) -> list[str]:
     """Returns the printed lines about recorded files and how to open them; empty if nothing was recorded.
 
     Args:
         logs: recorded files by type, one mapping for each vehicle. For several vehicles, the result is a single line with the
             folder.
         brief: True to return no lines.
-        runs: recorded runs. For more than `FEW` runs, the lines contain only the paths, without an empty line and a heading.
+        heading: True for an empty line and a heading above the paths.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):
@@ -203,7 +174,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, run
     if len(paths) > 1:
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
     files = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}"), Whole(f"  {pasted_path(paths[0]['mcap'])}")]
-    return [*(["", LOGS] if len(runs) <= FEW else []), *files]
+    return [*(["", LOGS] if heading else []), *files]
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -252,28 +223,3 @@ def run_named(
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
     warn_invalid_certificates(controllers)
     return run_controllers(vehicle, controllers, road, time)
-
-
-def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]:
-    """Returns the lines about runs that are printed above the table of controllers.
-
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
-    reasons why a run fails or diverges.
-
-    Args:
-        runs: runs of one or more controllers.
-        passive: MuJoCo's response of the passive vehicle for `-v`, which prints every run in full; None for the short text.
-    """
-    if passive is not None:
-        documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
-        # The verdicts are omitted here, because they are the last lines of the command
-        documents = [replace(one, blocks=one.blocks[1:]) for one in documents]
-        return [line for one in documents for line in ["", *text_lines(one, "full")]]
-    few = len(runs) <= FEW
-    said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]
-    lines = text_lines(Document("", share_statements(each for each in said if few or each[1].state == "fails")))
-    if not few:
-        margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}
-        studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
-        lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
-    return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []

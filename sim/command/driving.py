@@ -1,10 +1,9 @@
 """The common part of `sim.bump` and `sim.drive`: simulates controllers over one road, and compares with linear analysis."""
 
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
-from itertools import zip_longest
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,83 +11,22 @@ from models.common.arrays import Array
 from models.common.command import chosen_of, complain, print_json, print_remarks
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
-from models.common.printed import say, title_lines
-from models.document.document import Document, Statement
+from models.common.printed import FEW, say
+from models.document.document import Document
 from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import text_lines
 from models.roads.road import Road
-from models.vehicle.names import logged_variant, named_files, run_without, variant, without_copies
+from models.vehicle.names import named_files, run_without, without_copies
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.road_options import end_lines, gaps, left_out_lines, starts_later, with_start
-from sim.drive.response import Response
-from sim.runs.report import FEW, HALF_STEP, RUN, share_statements, verdicts
-from sim.runs.run import Run, passive_beside, run_controllers, sample_times
-from sim.studies.ride.score_table import score_lines, scores_record
-from sim.studies.ride.scores import scores_of_runs
+from sim.command.driven import VehicleRuns
+from sim.command.road_options import gaps, left_out_lines, with_start
+from sim.runs.run import passive_beside, run_controllers, sample_times
+from sim.studies.ride.scores import scores_of_runs, scores_record
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
-    from sim.studies.ride.run_metrics import RunMetrics
-    from sim.studies.validity.measured_log import SignalFit
-
-
-@dataclass(frozen=True, eq=False)
-class VehicleRuns:
-    """The runs of one vehicle file.
-
-    Attributes:
-        vehicle: vehicle of the file.
-        title: title of the vehicle in printed results; empty if there is only one vehicle.
-        names: requested controllers.
-        runs: runs with the whole vehicle, followed by runs in which a part of the vehicle is omitted (`--without`).
-        without: omitted part for each run, such as noise; empty for runs with the whole vehicle.
-        passive: MuJoCo's response of the passive vehicle.
-        metrics: ride metrics of each run; empty if none are measured.
-        fits: comparison of each run with a measured log; empty if no log is given.
-    """
-
-    vehicle: Vehicle
-    title: str
-    names: Sequence[str]
-    runs: Sequence[Run]
-    without: Sequence[str]
-    passive: Response
-    metrics: "Sequence[RunMetrics]" = ()
-    fits: "Sequence[Mapping[str, SignalFit]]" = ()
-
-    @property
-    def implemented_runs(self) -> list[Run]:
-        """The runs with the whole vehicle, in which no part is omitted."""
-        return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
-
-    @cached_property
-    def named_runs(self) -> list[Run]:
-        """The runs, each with its name in the printed results."""
-        pairs = zip(self.runs, self.without, strict=True)
-        return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
-
-    def logged(self) -> dict[str, Run]:
-        """Returns the runs by their names in a log."""
-        return {f"{run.controller.name}{logged_variant(part)}": run for run, part in zip(self.runs, self.without, strict=True)}
-
-    @property
-    def objects(self) -> list[dict[str, Any]]:
-        """The runs as JSON objects. The title of the vehicle and the omitted part are included if they are not empty."""
-        return [
-            RUN(run)
-            | {"half_step": run.half_step and HALF_STEP(run.half_step)}
-            | {key: text for key, text in (("vehicle", self.title), ("without", part)) if text}
-            | ({"beside": {name: one.record for name, one in fits.items()}} if fits else {})
-            for run, part, fits in zip_longest(self.runs, self.without, self.fits)
-        ]
-
-
-def _rename_run(run: Run, name: str) -> Run:
-    if run.controller.name == name:
-        return run
-    controller: Any = run.controller  # all driver classes are dataclasses with a field `name`
-    return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))
+    pass
 
 
 def drive(
@@ -118,7 +56,9 @@ def drive(
         for remark in gaps(road, options.duration):
             complain(remark)
     comparison.check_view(options)
-    log = comparison.measured_log(options, vehicles.values())
+    log = None
+    if options.beside_column or any(name.startswith("beside") for name in options.given):
+        log = FEATURES.load("comparison with a measured log").requested_log(options, vehicles.values())
     texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # options of sim.drive
     files = [*(file for vehicle in vehicles.values() for file in vehicle.files), *named_files(texts)]
     files += [options.beside] if log else []
@@ -183,26 +123,13 @@ def drive(
         last = {"compared": scores_record(scores), "unstable": unstable, **output_paths(outputs), "logs": paths}
         print_json(whole | step | last)
     else:
-        kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
-        on = f"a road: {where(road)}" if rides else where(road)
-        sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
-        lines = title_lines(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
-        if rides:
-            lines += end_lines(road, options.duration)
-        details = _above(options, driven, start, end)
-        lines += [] if options.verbose else details
-        if response.blocks and not options.brief:
-            lines += ["", *text_lines(response, "full" if options.verbose else "normal")]
-        about = f"MuJoCo, {words}"
-        if len(shown) > FEW and not (options.verbose or options.brief):
-            about += "; -v prints more"
-        lines += ["", *score_lines(scores, about), *(details if options.verbose else [])]
-        if measured is not None:
-            lines += ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")]
-        lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
+        from sim.command.driven_lines import driven_lines
+
+        below = ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")] if measured else []
+        below += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, len(shown) <= FEW and not options.verbose)]
         omitted = dict.fromkeys(name for some in known.values() for name in some if name not in usual)
-        lines += left_out_lines([*omitted] if not options.controller else [])
-        lines += ["", *text_lines(Document("", verdicts(shown)))]
+        below += left_out_lines([*omitted] if not options.controller else [])
+        lines = driven_lines(options, driven, where(road), scores, words, response, below)
         if unstable and not options.allow_unstable:
             lines += [f"exit code 1, because a closed loop is unstable ({', '.join(unstable)}); --allow-unstable permits this"]
         say(lines)
@@ -282,33 +209,3 @@ def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float 
             "iri": ride.roughness(ride.driven_roughness(each.vehicle, road, time)),
         }
     return result | comparison.left_out_object(each.names, [run.controller.name for run in each.implemented_runs])
-
-
-def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end: float) -> list[str]:
-    """Returns the lines printed above the table of controllers: with `-v` all about each run, otherwise only special findings.
-
-    Args:
-        start, end: first and last time of the ride measurement [s].
-    """
-    shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
-    lines = list[str]()
-    if metrics:
-        start_lines = FEATURES.load("start of a run").start_lines
-        for each in driven:
-            lines += start_lines(each.named_runs[: len(each.implemented_runs)], starts_later(options))
-    if options.verbose:
-        for each in driven:
-            for run, own in zip_longest(each.named_runs, each.metrics):
-                lines += comparison.run_lines([run], each.passive)
-                if own is not None:
-                    ride = FEATURES.load("ride of a run")
-                    rough = ride.driven_roughness(run.vehicle, run.road, run.prediction.time)
-                    lines += ["", *text_lines(ride.describe(run, own, start, end, rough), "full")]
-    elif not options.brief:
-        lines += comparison.run_lines(shown)
-        if metrics:
-            ride = FEATURES.load("ride of a run")
-            left = [(run.controller.name, Statement(line)) for run in shown for line in ride.broken_off_sentence(run)]
-            lines += text_lines(Document("", share_statements(left)))
-            lines += ["", *told] if (told := text_lines(ride.summary(shown, metrics))) else []
-    return lines

@@ -27,7 +27,8 @@ from sim.observers.results import ALLOWED_DIFFERENCE, DIFFERENCE
 from sim.recording.run_log import CONTINUOUS, MEASURED_TOPIC, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING
-from sim.runs.report import HALF_STEP, RUN, claims, reasons
+from sim.runs.record import HALF_STEP, RUN
+from sim.runs.report import claims, reasons
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS, LATE_WINDOW, ONE_SIDED
 from synth.analysis.record import false_claims

@@ -14,7 +14,8 @@ from sim.inspect.findings import HOLDS, Finding
 from sim.inspect.proof import InspectedRun, Proof
 from sim.inspect.replay import as_response, controller_states
 from sim.recording.run_log import MUJOCO, SAMPLED
-from sim.runs.report import RUN, controller_record, verdict
+from sim.runs.record import RUN, controller_record
+from sim.runs.report import verdict
 from sim.runs.signal_table import run_columns, write_columns
 
 INSPECTION_RECORD = Record[InspectedRun](

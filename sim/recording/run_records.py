@@ -25,7 +25,8 @@ from sim.drive.loop import DIVERGENCE_LIMIT
 from sim.drive.response import Response
 from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED_TOPIC, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
-from sim.runs.report import BALANCE, HALF_STEP, controller_record, describe_run, events, verdict
+from sim.runs.record import BALANCE, HALF_STEP, controller_record
+from sim.runs.report import describe_run, events, verdict
 from sim.runs.run import Run
 from synth.controller.report import norm_if_implemented, norm_record
 

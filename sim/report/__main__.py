@@ -165,7 +165,8 @@ def _several(
     """Prints the written files and one table with the controllers of several vehicles; returns the exit code."""
     from models.document.outputs import output_paths, written_lines
     from sim.report.page import record
-    from sim.studies.ride.score_table import score_lines, scores_record
+    from sim.studies.ride.score_table import score_lines
+    from sim.studies.ride.scores import scores_record
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.scores]
     if options.json:

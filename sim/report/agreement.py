@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,23 @@ from models.document.figure import Curve, Figure, Panel
 from models.document.text import names_text
 from sim.command.road_options import end_lines
 from sim.linear.prediction import LINEAR, NONLINEAR
-from sim.observers.results import DIFFERENCE, WHEN
+from sim.observers.results import DIFFERENCE, JOULES, WHEN, Energy
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
-from sim.runs.report import SIZES, energy_table, run_statements
+from sim.runs.record import SIZES
+from sim.runs.report import ALLOWED, EXCHANGED, RESIDUAL, run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, history_figure
 from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics, measured_words
 from sim.studies.study import Progress, Study
 from sim.studies.subject import BUMP_DURATION, Subject
 
+ENERGY: tuple[Field[Energy], ...] = (
+    *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
+    EXCHANGED,
+    RESIDUAL,
+    ALLOWED,
+)
 DIAGRAM_POINTS = 60  # approximate number of points of a MuJoCo run in a diagram
 ROOM = 1.15  # range of both axes, relative to the largest value
 MOST_ORDERS = 4  # largest number of controllers with an order of convergence, because each needs a run with twice as many steps
@@ -226,3 +234,11 @@ class AgreementStudy(Study[dict[str, Finer]]):
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
         return [agreement_section(scope, scope.runs, results[self.name][""])]
+
+
+def energy_table(runs: Sequence[Run], where: str) -> Table:
+    """Returns the table of the energy balances of all runs."""
+    known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
+    name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
+    fields = (name, *(field.of(get) for field in ENERGY))
+    return Table.of("energy", f"Energy balance over {where}.", fields, known)

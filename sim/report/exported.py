@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from models.common.printed import entry
 from models.document.document import Document, Table, notes
-from sim.runs.report import code_notes, code_table, verdicts
+from sim.runs.code_effect import code_notes, code_table
+from sim.runs.report import verdicts
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.study import Progress, Study
 from sim.studies.subject import Subject

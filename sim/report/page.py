@@ -13,8 +13,8 @@ from sim.report.processes import Name
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
 from sim.studies.ride.run_metrics import measured_words
-from sim.studies.ride.score_table import headline, scores_record, some_names
-from sim.studies.ride.scores import Score, score_of, scores_of_runs, with_faults
+from sim.studies.ride.score_table import headline, some_names
+from sim.studies.ride.scores import Score, score_of, scores_of_runs, scores_record, with_faults
 from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers

@@ -13,7 +13,8 @@ from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
 from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, end_times
 from sim.observers.results import WHEN
-from sim.runs.report import SIZE, verdict
+from sim.runs.record import SIZE
+from sim.runs.report import verdict
 from sim.runs.run import Run
 from sim.studies.ride.score_table import CHANGES, compared_table, headline
 from sim.studies.ride.scores import COLUMNS, FIELDS, Score, best

@@ -5,18 +5,21 @@ check compares every command of the run with the code (`sim.observers.commands`)
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.document.field import Record
+from models.document.document import Table
+from models.document.field import Field, Record
+from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
 from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
-MOST = 1e-2  # relative to a peak; if code changes a signal by more, it does not implement the law
+OF_CODE = Field[str]("difference", str, ".2g")
+MOST = 1e-2  # relative to a peak; code that changes a signal by more does not implement the law
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,3 +95,30 @@ def _differences(effect: CodeEffect) -> dict[str, Any]:
 
 
 DIFFERENCES = Record[CodeEffect](_differences)  # difference between the runs with the exported code and with the law, by signal
+
+
+def code_notes(effect: CodeEffect, vehicle: Vehicle) -> list[str]:
+    """Returns a sentence on exported code and its distance from the control law."""
+    line = f"the controller runs as compiled code in {effect.numbers}"
+    if effect.clipped_readings:
+        return [
+            f"{line}; {effect.clipped_readings[0]} exceeds its range on this road, and is clipped: export with a larger --range"
+        ]
+    if not any(map(effect.peak, effect.apart)):
+        return [f"{line}; the run is the same, bit for bit, as with the control law itself"]
+    force = max(vehicle.linear_model.inputs, key=effect.peak)
+    apart = f"at most {OF_CODE.digits(effect.peak(force))} N (rms {OF_CODE.digits(effect.rms(force))} N)"
+    share = DIFFERENCE.digits(effect.share)
+    return [f"{line}; with the control law itself, {force} differs by {apart}, and every signal by at most {share} of its peak"]
+
+
+def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
+    """Returns the table of differences of all signals from the run with the law itself."""
+    fields = (
+        Field[str]("signal", lambda name: name.replace("_", " ")),
+        Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),
+        replace(OF_CODE, label="rms", value=effect.rms),
+        replace(OF_CODE, label="at most", value=effect.peak),
+    )
+    caption = "Difference between MuJoCo's runs with the exported code and with the control law itself, over the same road."
+    return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")

@@ -1,16 +1,23 @@
 """Missing force in a run: the part of the requested forces that semi-active dampers could not supply."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.common.printed import percent
+from models.document.document import Statement, notes
+from models.document.field import Field
 from models.parts.damper_range import range_of
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import MISSING_FORCE
 from sim.drive.response import Response
 from sim.linear.dampers import closing_velocities, commands_of, squarable
+from sim.runs.result import RunResult
+
+HALF = 0.5  # share of the requested force; if dampers miss more, linear analysis does not describe the run
+COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 
 
 @dataclass(frozen=True)
@@ -57,3 +64,30 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
             share, float(np.mean(np.abs(missing) > MISSING_FORCE)), float(c.min()), float(c.max()), kept
         )
     return by_force
+
+
+def damper_notes(run: RunResult) -> list[Statement]:
+    """Returns sentences on the force that semi-active dampers did not supply, and its consequence for linear analysis."""
+    names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
+    delayed = ["delay"] * bool(run.vehicle.implementation.delay)
+    delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
+    if delayed:
+        of_voltage = not all(one.replaces for one in run.vehicle.dampers.values())
+        what = "the voltage" if of_voltage else "the damping coefficient"
+        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on {what}"
+        texts.append(f"{acts}, not on the force, which follows the present suspension velocity")
+    for force, one in shortfalls(run.vehicle, run.physics).items():
+        most = max(most, one.rms)
+        if one.late:
+            texts.append(f"{names[force]}: the valve's lag removes {percent(one.late)} (rms) of the requested force")
+        if one.time:
+            setting = replace(COEFFICIENT, unit=run.vehicle.kind.signal(names[force]).unit)
+            texts.append(
+                f"{names[force]} is between {setting.digits(one.softest)} and {setting.text(one.hardest)}; "
+                f"{percent(one.rms)} (rms) of the requested force is missing, at {percent(one.time)} of the samples"
+            )
+    if most > HALF and run.controller.linear:
+        text = "norms and margins do not describe this run: a semi-active damper cannot supply "
+        text += f"{percent(most)} of the requested force"
+        return [*notes(*texts), Statement(text, "ends")]
+    return [*notes(*texts)]

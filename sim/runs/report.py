@@ -1,4 +1,4 @@
-"""Reports on runs: documents, objects for `--json`, and the events of their logs.
+"""Reports on runs: documents, and the events of their logs. Only text and pages need this module; JSON is in `record`.
 
 `describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
 sentences.
@@ -6,17 +6,17 @@ sentences.
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.extensions import FEATURES
-from models.common.printed import as_name, entry, percent
+from models.common.printed import FEW, as_name, entry, percent
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import OMITTED_KEY, Detail, Field, Record, if_any
+from models.document.field import Detail, Field
 from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import Vehicle
@@ -37,12 +37,12 @@ from sim.drive.regime import (
 from sim.drive.response import Response
 from sim.observers.results import ALLOWED_DIFFERENCE, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
+from sim.runs.record import SIZES
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
-    GROWTH,
     NORM,
     PEAK,
     failures_of_sampled_loop,
@@ -57,114 +57,20 @@ from synth.controller.report import (
 from synth.controller.report import notes as controller_remarks
 
 if TYPE_CHECKING:
-    from sim.runs.code_effect import CodeEffect
+    pass
 
 INVALID_EQUATIONS = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
-FEW = 3  # largest number of controllers with separate statements; for more, the output would not fit into a terminal
 NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
 LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 
-ENERGY: tuple[Field[Energy], ...] = (
-    *(Field(name, attrgetter(name), JOULES.form, unit="J") for name in ("road", "actuators", "stored", "dissipated")),
-    TURNOVER := Field("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]"),
-    RESIDUAL := Field("residual", attrgetter("residual"), "{:.1e}".format, column="left over"),
-    Field("allowed", attrgetter("allowed"), "{:.1e}".format),
-)
-FAR_OFF = 100.0  # multiple of a peak; if the error of a linearisation is larger, its loop is unstable
-HALF = 0.5  # share of the requested force; if more is missing, linear analysis does not describe the run
-COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
-OF_CODE = Field[str]("difference", str, ".2g")
+EXCHANGED = Field[Energy]("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]")
+RESIDUAL = Field[Energy]("residual", attrgetter("residual"), "{:.1e}".format, column="left over")
+ALLOWED = Field[Energy]("allowed", attrgetter("allowed"), "{:.1e}".format)
+FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
+WHOLE = "signal, over the whole run"
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
-SIZE = Field[float]("size", float, ".5g")  # of a signal
-SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # peak and rms of a signal of a run
-    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form, key=name.lower())
-    for what in ("peak", "rms")
-    for name, source in {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}.items()
-)
-
-
-BALANCE = Record[Energy](
-    lambda one: {key: value for key, value in asdict(one).items() if key not in ("least", "loads") or value is not None},
-    balances=lambda one: one.balances if one.judged else None,
-)  # energy balance [J]; the residual is a share of `turnover`
-
-
-def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
-    """Returns a function that returns the result of a local check for JSON; None if the check is not made."""
-    return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
-
-
-def _worst_line(run: RunResult) -> dict[str, Any] | None:
-    """Returns the largest error of the linearisation at equilibrium for JSON; None if nothing is compared."""
-    if not (errors := run.line_errors):
-        return None
-    worst = max(errors, key=errors.__getitem__)
-    return {"error": errors[worst], "signal": worst, "over": "peak in MuJoCo"}
-
-
-def _shortfall(run: RunResult) -> dict[str, Any]:
-    """Returns for JSON the force that semi-active dampers did not supply; empty if there are no such dampers."""
-    if not run.vehicle.dampers:
-        return {}
-    return {"shortfall": FEATURES.load("forces that dampers lack").shortfalls(run.vehicle, run.physics)}
-
-
-def _decay(run: RunResult) -> dict[str, Any]:
-    """Returns the modes of a free decay for JSON; empty if the run does not start from a given state."""
-    if not run.vehicle.start:
-        return {}
-    return FEATURES.load("decay").record(run)
-
-
-HALF_STEP = Record("difference", "signal")  # change of the response after a lift-off if the time step is halved
-SIGNAL = Record[tuple[RunResult, str]](
-    unit=lambda of: of[0].vehicle.kind.signal(of[1]).unit,
-    peak=Record(*SIZES[:3]),
-    rms=Record(*SIZES[3:]),
-    error=Record(
-        sampled=lambda of: of[0].agreement.signals[of[1]].sampled,
-        continuous=lambda of: of[0].agreement.signals[of[1]].continuous,
-        linearisation=lambda of: of[0].line_errors.get(of[1], OMITTED_KEY),
-    ),
-)
-
-
-def controller_record(controller: AnyController) -> dict[str, Any]:
-    """Returns a controller for JSON. Linear results of a Python control law are None."""
-    if controller.linear is False:
-        return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
-    claims = Record(BOUND, NORM, PEAK, stability=lambda one: one.stability.verdict)
-    return {**controller.record, **claims(controller.certificate), **GROWTH(controller)}
-
-
-RUN = np.errstate(over="ignore")(  # the squares of an unstable loop's signals overflow; infinite values are written as None
-    Record[RunResult](
-        Record(
-            controller=lambda run: controller_record(run.controller),
-            signals=SIGNAL.all(lambda run: {name: (run, name) for name in run.agreement.signals}),
-            until="agreement.until",
-            lift_off="agreement.lift_off",
-            agrees="agreement.agrees",
-            steps=_local_check("agreement.steps", "error", "allowed", "since", "until"),
-            commands=_local_check("agreement.commands", "repeatable", "error", "allowed", "since"),
-            cause="agreement.cause",
-            reference=lambda run: run.prediction.reference if run.prediction.linearised else OMITTED_KEY,
-            linearisation=lambda run: _worst_line(run) if run.prediction.linearised else OMITTED_KEY,
-            stops=lambda run: FEATURES.load("stops that a run reaches").STOPS(run) if run.vehicle.limits.stopped else OMITTED_KEY,
-            dampers=if_any(_shortfall),
-        ),
-        _decay,
-        code_difference=lambda run: (
-            FEATURES.load("effect of exported code").DIFFERENCES(run.agreement.code_effect)
-            if run.agreement.code_effect
-            else OMITTED_KEY
-        ),
-        margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED_KEY,
-        energy=BALANCE.all(lambda run: run.energy or OMITTED_KEY),
-    )
-)
 
 
 def line_words(run: RunResult) -> str:
@@ -173,14 +79,6 @@ def line_words(run: RunResult) -> str:
         return ""
     off = max(errors.values())
     return f"off by {percent(off)} of a peak" if off < FAR_OFF else f"off by more than {FAR_OFF:g} times a peak"
-
-
-def energy_table(runs: Sequence[RunResult], where: str) -> Table:
-    """Returns the table of the energy balances of all runs."""
-    known = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
-    name, get = Field[tuple[str, Energy]]("controller", lambda of: of[0]), lambda of: of[1]
-    fields = (name, *(field.of(get) for field in ENERGY))
-    return Table.of("energy", f"Energy balance over {where}.", fields, known)
 
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
@@ -195,7 +93,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
     return [
         named_gain(vehicle, controller) if controller.law.acts and not controller.law.states else controller.text,
-        *([claims(controller), certificate.own.words] if certificate.stable else []),
+        *([claims(controller)] if certificate.stable else []),
         *ideal_lines(vehicle, [controller]),
         *ratio_notes(vehicle.kind, vehicle.parameters),
         *filter_lines(vehicle),
@@ -328,8 +226,8 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     stops = notes(*filter(None, [contact]))
     if not full and detail == "full":
         return stops
-    said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
-    if not run.physics.law_diverged or run.passed:  # otherwise, the forces of the law are only rounding errors
+    said = [*notes(*_events(run)), *(FEATURES.load("forces that dampers lack").damper_notes(run) if run.vehicle.dampers else [])]
+    if not run.physics.law_diverged or run.passed:  # otherwise, rounding determines the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
     return (*stops, *(replace(one, detail=detail) for one in said))
@@ -351,10 +249,10 @@ def _events(run: RunResult) -> Iterator[str]:
         yield _flights(agreement.lift_off)
     if (half := run.half_step) is not None:
         known = math.isfinite(half.difference)
-        change = f"{half.signal} changes by {DIFFERENCE.digits(half.difference)} of its peak" if known else "the run diverges"
-        yield f"accuracy after the lift-off: at half the timestep, {change}"
+        change = f"half the timestep changes {half.signal} by {DIFFERENCE.digits(half.difference)} of its peak"
+        yield f"accuracy: {change if known else 'at half the timestep, the run diverges'}"
     elif agreement.lift_off and run.prediction.is_blurred and run.broke_off is None:
-        yield f"accuracy after the lift-off: unknown, as half the timestep changes the {vehicle.implementation.noise_text}"
+        yield f"accuracy: unknown, as half the timestep changes the {vehicle.implementation.noise_text}"
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if vehicle.limits.actuator_bandwidth is not None and run.controller.has_anti_windup:
         said[SATURATION] = DEMAND_CLIPPED
@@ -379,7 +277,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
     """Returns a sentence on how often tyres leave the ground, with the first interval and the longest duration."""
     (start, end), longest = lift_off[0], LENGTH.text(max(end - start for start, end in lift_off))
     often = f"{len(lift_off)} times, first" if len(lift_off) > 1 else "once,"
-    return f"lift-off: a tyre leaves the ground {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
+    return f"lift-off: {often} from {WHEN.text(start)} to {WHEN.text(end)}; the longest lasts {longest}"
 
 
 def _checks(run: RunResult) -> Iterator[Statement]:
@@ -392,23 +290,23 @@ def _checks(run: RunResult) -> Iterator[Statement]:
     elif steps.until > 0:
         wrong = f"DOES NOT AGREE from {WHEN.text(steps.since)} on: not every MuJoCo step"
         end = f", until {WHEN.text(steps.until)}" if math.isfinite(steps.until) else ""
-        what = f"equals one RK4 step of the vehicle's equations of motion from the same state{end}"
+        model = "model" if steps.agrees else "vehicle's equations of motion from the same state"
+        what = f"equals one RK4 step of the {model}{end}"
         yield _check("every MuJoCo step" if steps.agrees else wrong, what, steps)
     if commands is not None and not commands.repeatable:
         yield Statement(NOT_REPEATABLE, "note" if commands.agrees else "fails")
     elif commands is not None:
         subject = "every command" if commands.agrees else "COMMANDS DO NOT AGREE: not every command"
-        yield _check(subject, "equals the control law evaluated on the run's measurements", commands)
+        yield _check(subject, "equals the control law", commands)
     yield from (Statement(text, "fails") for text in (code.failures if code is not None else ()))
 
 
 def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     error = DIFFERENCE.digits(one.error) if one.error else "0"
-    text = (
-        f"{subject} {what}: largest error {error} of a peak ({one.signal}); at most "
-        f"{ALLOWED_DIFFERENCE.digits(one.allowed)} is allowed"
-    )
-    return Statement(text, "note" if one.agrees else "fails")
+    if one.agrees:
+        return Statement(f"{subject} {what}, to {error} of a peak")
+    allowed = ALLOWED_DIFFERENCE.digits(one.allowed)
+    return Statement(f"{subject} {what}: largest error {error} of a peak ({one.signal}), {allowed} is allowed", "fails")
 
 
 def _distance(run: RunResult) -> Iterator[Statement]:
@@ -460,19 +358,18 @@ def _balance(run: RunResult) -> Iterator[Statement]:
     energy = run.energy
     if energy is None:
         return
-    of = f"{RESIDUAL.cell(energy)} of the {TURNOVER.text(energy.turnover)} exchanged"
+    of = f"{RESIDUAL.cell(energy)} of the {EXCHANGED.text(energy.turnover)} exchanged"
     if energy.least is not None and energy.least < 0 and energy.fails:
         given = f"a semi-active damper supplied energy, {RESIDUAL.digits(-energy.least)} of the largest energy that it absorbed"
         yield Statement(f"energy DOES NOT BALANCE: {given}", "fails")
     elif energy.balances:
-        sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
-        yield Statement(f"energy balances: all work of {sources} is stored or dissipated, to within {of}")
+        yield Statement(f"energy balances, to {of}{'' if energy.loads is None else ', work of loads included'}")
     elif not energy.judged or run.physics.law_diverged:
         why = "the law overflows" if energy.judged else "the timestep is too coarse"
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, but at most {ENERGY[-1].cell(energy)} is allowed"
+        more = f"{of} is neither stored nor dissipated, {ALLOWED.cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
@@ -483,15 +380,13 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     Args:
         passive: MuJoCo's response of the passive vehicle, with which the signals are compared; None for no comparison.
     """
-    code, until = run.agreement.code_effect, run.agreement.until
-    ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
-    tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
+    code = run.agreement.code_effect
+    tables = [signal_table(run, passive)]
+    if code is not None:
+        tables.append(FEATURES.load("effect of exported code").code_table(code, run.vehicle))
     return Document(
         f"controller {run.controller.name}: measures {', '.join(run.controller.measured) or 'nothing'}",
-        (
-            *sentences(run),
-            Document("Signals", (*notes(*[ended] * math.isfinite(until), detail="full"), *tables), "full"),
-        ),
+        (*sentences(run), *tables),
     )
 
 
@@ -503,102 +398,45 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     studied = study_notes(run.vehicle, controller)
     claimed = [] if len(studied) > 1 else [claims(controller)]
     marked = "WARNING: small " * (full and warning == margins.small) + warning
-    first = [*claimed, *studied, *[marked] * bool(warning), *code_notes(code, run.vehicle)]
+    first = [*claimed, *studied, *[marked] * bool(warning)]
+    first += FEATURES.load("effect of exported code").code_notes(code, run.vehicle) if code else []
     every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
     others = [text for text in every if not (any(one.startswith(text) for one in first) or (warning and warning in text))]
     return (
         verdict(run),
         *notes(*first),
         *notes(*others, detail="full"),
-        *notes(*_decay_words(run)),
+        *notes(*filter(None, [FEATURES.load("decay").decay_words(run)] if run.vehicle.start else [])),
         *reasons(run, full),
     )
 
 
-def _decay_words(run: RunResult) -> list[str]:
-    """Returns a sentence on the free decay of a run from a given start; empty if there is no given start."""
-    if not run.vehicle.start:
-        return []
-
-    return [words] if (words := FEATURES.load("decay").decay_words(run)) else []
-
-
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
-    """Returns the table of peak and rms of all signals, their differences from linear analysis, and changes from passive."""
+    """Returns the table of all signals: peak and rms in MuJoCo, changes from passive, and errors to linear analysis.
+
+    Peak and rms are those of the whole run. Errors are measured as long as linear analysis applies, relative to the peak.
+    Pages and logs also contain peak and rms of the linear responses.
+    """
     rows, on = [], run.prediction.input
     # On a flat road, all motion is due to rounding errors
     still = not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start
     for name, signal in run.agreement.signals.items():
         was = None if still else passive
         if was is not None and was.peak(name) < was.scale(name):
-            was = None  # if symmetry keeps a signal at zero, it contains only rounding errors
-        for kind, sizes in (("peak", SIZES[:3]), ("rms", SIZES[3:])):
-            numbers = ["-" if math.isfinite(run.diverged) else field.cell((run, name)) for field in sizes]
-            apart = [DIFFERENCE.digits(one) if kind == "peak" else "" for one in (signal.sampled, signal.continuous)]
-            before = 0.0 if was is None else float(getattr(was, kind)(name))
-            change = CHANGE.digits(float(getattr(run.physics, kind)(name)) / before - 1) if before else "-"
-            label = f"{name} [{run.vehicle.kind.signal(name).unit}]" if kind == "peak" else ""
-            rows.append((label, kind, *numbers, *apart, change))
-    headings = ("signal", "of", "MuJoCo", "sampled", "continuous", "error", "cont. error", "change %")[: 8 if passive else 7]
-    shown = tuple(row[: len(headings)] for row in rows)
-    return Table("signals", "Peak and rms of every signal, and the change from the passive vehicle.", headings, shown)
-
-
-def _damper_notes(run: RunResult) -> list[Statement]:
-    """Returns sentences on the force that semi-active dampers did not supply, and its consequence for linear analysis."""
-    shortfalls = FEATURES.load("forces that dampers lack").shortfalls
-    names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
-    delayed = ["delay"] * bool(run.vehicle.implementation.delay)
-    delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
-    if delayed:
-        of_voltage = not all(one.replaces for one in run.vehicle.dampers.values())
-        what = "the voltage" if of_voltage else "the damping coefficient"
-        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on {what}"
-        texts.append(f"{acts}, not on the force, which follows the current suspension velocity")
-    for force, one in shortfalls(run.vehicle, run.physics).items():
-        most = max(most, one.rms)
-        if one.late:
-            texts.append(f"{names[force]}: the valve's lag removes {percent(one.late)} (rms) of the requested force")
-        if one.time:
-            setting = replace(COEFFICIENT, unit=run.vehicle.kind.signal(names[force]).unit)
-            texts.append(
-                f"{names[force]} is between {setting.digits(one.softest)} and {setting.text(one.hardest)}; "
-                f"{percent(one.rms)} (rms) of the requested force is missing, at {percent(one.time)} of the samples"
-            )
-    if most > HALF and run.controller.linear:
-        text = "norms and margins do not describe this run: a semi-active damper cannot supply "
-        text += f"{percent(most)} of the requested force"
-        return [*notes(*texts), Statement(text, "ends")]
-    return [*notes(*texts)]
-
-
-def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
-    """Returns a list with a sentence on how exported code differs from the control law; empty without exported code."""
-    if effect is None:
-        return []
-    line = f"the controller runs as compiled code in {effect.numbers}"
-    if effect.clipped_readings:
-        return [
-            f"{line}; {effect.clipped_readings[0]} exceeds its range on this road, and is clipped: export with a larger --range"
-        ]
-    if not any(map(effect.peak, effect.apart)):
-        return [f"{line}; the run is the same, bit for bit, as with the control law itself"]
-    force = max(vehicle.linear_model.inputs, key=effect.peak)
-    apart = f"at most {OF_CODE.digits(effect.peak(force))} N (rms {OF_CODE.digits(effect.rms(force))} N)"
-    share = DIFFERENCE.digits(effect.share)
-    return [f"{line}; with the control law itself, {force} differs by {apart}, and every signal by at most {share} of its peak"]
-
-
-def code_table(effect: "CodeEffect", vehicle: Vehicle) -> Table:
-    """Returns the table of differences of all signals from the run with the law itself."""
-    fields = (
-        Field[str]("signal", lambda name: name.replace("_", " ")),
-        Field[str]("unit", lambda name: vehicle.kind.signal(name).unit),
-        replace(OF_CODE, label="rms", value=effect.rms),
-        replace(OF_CODE, label="at most", value=effect.peak),
-    )
-    caption = "Difference between MuJoCo's runs with the exported code and with the control law itself, over the same road."
-    return Table.of("exported-rounding", caption, fields, effect.apart, words=2, detail="full")
+            was = None  # a signal that symmetry keeps at zero contains only rounding errors
+        numbers = {field.label: "-" if math.isfinite(run.diverged) else field.cell((run, name)) for field in SIZES}
+        cells = {WHOLE: f"{name} [{run.vehicle.kind.signal(name).unit}]"}
+        for kind in ("peak", "rms"):
+            cells[kind] = numbers.pop(f"{kind}, MuJoCo")
+            if passive is not None:
+                before = 0.0 if was is None else float(getattr(was, kind)(name))
+                change = CHANGE.digits(float(getattr(run.physics, kind)(name)) / before - 1) if before else "-"
+                cells[f"{kind} change [%]"] = change
+        cells["error to sampled"], cells["error to continuous"] = map(DIFFERENCE.digits, (signal.sampled, signal.continuous))
+        rows.append(cells | numbers)
+    caption = "Peak and rms of every signal, and largest errors relative to its peak, as long as linear analysis applies."
+    headings, linear = tuple(rows[0]), tuple(field.label for field in SIZES if not field.label.endswith("MuJoCo"))
+    return Table("signals", caption, headings, tuple(tuple(row.values()) for row in rows), detail="full", wide=linear)
 
 
 def events(run: RunResult) -> tuple[tuple[float, str], ...]:

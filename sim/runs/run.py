@@ -26,7 +26,6 @@ from sim.linear.sampled_response import largest_timestep
 from sim.observers.recorder import Recording, record
 from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
-from sim.runs.report import signal_table, verdict
 from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller
 
@@ -49,6 +48,8 @@ class Run(RunResult, ShownResult):
     @property
     def summary(self) -> Document:
         """Document with the verdict, the vehicle, the road and the times."""
+        from sim.runs.report import verdict
+
         rows = {
             "vehicle": self.vehicle.kind.name,
             "road": self.road.words,
@@ -61,6 +62,7 @@ class Run(RunResult, ShownResult):
     def figures(self) -> tuple[Block, ...]:
         """Table of the peak and rms of all signals, and a plot of the first weighted signal over time."""
         from models.document.figure import BLUE, Figure, Style
+        from sim.runs.report import signal_table
 
         panels = FEATURES.load("time histories").history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
         figure = Figure("run", "Lines show the exact sampled response, markers show MuJoCo.", tuple(panels), columns=1)

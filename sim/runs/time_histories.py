@@ -12,7 +12,7 @@ from models.document.figure import GREY, Curve, Figure, Panel, Style, axis_ends,
 from models.kinds.signals import Signal
 from sim.drive.response import Response
 from sim.observers.results import WHEN
-from sim.runs.report import SIZE
+from sim.runs.record import SIZE
 from sim.runs.result import RunResult
 
 POINTS = 24  # approximate number of points that show MuJoCo

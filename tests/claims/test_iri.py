@@ -9,6 +9,7 @@ from scipy import integrate
 
 import sim.command.comparison
 from models.common.errors import InputError
+from models.common.printed import three_digits
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iri import (
@@ -32,7 +33,7 @@ from models.vehicle.names import CLASSES
 from models.vehicle.vehicle import read_vehicle
 from sim.drive.__main__ import main
 from sim.inspect.__main__ import main as inspect
-from tests.support.commands import once
+from tests.support.commands import once, prose
 from tests.support.rewriting import contents, written
 
 QUARTER, CAR = read_vehicle("quarter_car"), read_vehicle("full_car")
@@ -252,8 +253,8 @@ def test_printed_and_logged(capsys, monkeypatch, tmp_path):
     result = json.loads(capsys.readouterr().out)
     assert list(result["iri"]) == ["iri_left", "iri_right", "iri_mean", "iri_half_car"]
     for name, one in result["iri"].items():
-        row = next(line.split() for line in out.splitlines() if line.split()[:1] == [name])
-        assert row == [name, "m/km", *[f"{one[key]:.4g}" for key in ("road", "road", "expected", "spread")]]
+        road, expected, spread = (three_digits(one[key]) for key in ("road", "expected", "spread"))
+        assert f"{name} {road} (expected {expected} +- {spread})" in prose(out)
     road = described_road(result["road"])
     assert result["iri"]["iri_left"]["road"] == roughness_of(road, CAR, 12.0)[0].iri
     (log,) = tmp_path.glob("*.mcap")

@@ -6,7 +6,7 @@ import json
 import pandas
 import pytest
 
-from models.common.printed import percent
+from models.common.printed import percent, three_digits
 from models.common.table import find_table
 from models.common.units import TIME
 from models.roads.road import Bump
@@ -149,7 +149,15 @@ def test_what_metrics_rest_on_is_said(capsys):
     main([*arguments, "-v"])
     table = capsys.readouterr().out
     assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of its final value" in prose(table)
-    assert {line.split()[0] for line in table.splitlines() if "~" in line} == {"vdv", "mtvv", "crest", "peak", "Values"}
+    metrics, iri = run["metrics"], result["iri"]["iri"]
+    (expected,) = [line.split() for line in table.splitlines() if "passive, expected" in line]
+    (spread,) = [line.split() for line in table.splitlines() if "passive, +- by road" in line]
+    assert expected[2] == three_digits(metrics["sprung_acceleration_weighted"]["expected"])
+    assert spread[4] == three_digits(metrics["sprung_acceleration_weighted"]["spread"])
+    assert next(one for one in expected if "~" in one) == f"~{1e3 * metrics['suspension_deflection_peak']['expected']:.3g}"
+    assert "~: peaks are up to 23 % too high; +-: up to 45 % too large in short runs." in prose(table)
+    numbers = " +- ".join(three_digits(iri[key]) for key in ("expected", "spread"))
+    assert f"Roughness of this road [m/km]: iri {three_digits(iri['road'])} (expected {numbers})." in prose(table)
     for name, metric in run["metrics"].items():
         assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
     main(arguments)
@@ -166,7 +174,7 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs", "-v"])
     out = prose(capsys.readouterr().out)
-    assert "Sampled and expected values are for a vehicle without bump stops" in out
+    assert "Expected values are for a vehicle without bump stops" in out
     assert "Only MuJoCo's values include the noise of the measurements." in out
 
 
@@ -175,4 +183,7 @@ def test_a_flat_road_changes_nothing(paper, designer, height, shares):
     """Over a flat road nothing moves, and there is no share of what rounding leaves."""
     controllers = [designer.design("passive"), designer.design("I")]
     passive, run = run_controllers(paper, controllers, Bump(height=height), sample_times(paper, 1.0, 1e-3))
-    assert any(row[-1] != "-" for row in signal_table(run, passive.physics).rows) == shares
+    table = signal_table(run, passive.physics)
+    changes = [cell for row in table.rows for head, cell in zip(table.headings, row, strict=True) if "change" in head]
+    assert len(changes) == 12
+    assert any(cell != "-" for cell in changes) == shares

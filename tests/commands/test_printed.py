@@ -16,6 +16,7 @@ from sim.inspect.proof import prove
 from tests.commands.golden import CASES, golden
 from tests.support.commands import attacks, in_the_suite, main_of, prose
 from tests.support.pages import page
+from tests.support.shared import printed
 
 ROOT = Path(__file__).parents[2]
 FIRST = {  # how the first sentence below the title begins, of a command whose verdicts are there
@@ -120,7 +121,7 @@ def check_answer(name: str, out: str) -> str:
         answer = prose(out.split("\n", 2)[2])
         assert re.match(FIRST[name], answer)
         verdicts, _, rest = answer.partition("Responses were measured")
-        swept = re.findall(r"^  (\w+)(?: +[\d.e+-]+){2} +(?:[\d.]+|-)$", out, re.M)  # the rows of the first table
+        swept = re.findall(r"^  (\w+) +[\d.]+e[+-]\d+ +(?:[\d.]+e[+-]\d+|-)$", out, re.M)  # the rows of the first table
         assert swept
         assert rest
         assert {*swept} <= {*re.findall(r"\w+", verdicts)}
@@ -140,6 +141,35 @@ def test_golden_runs(name):
     for one in run.json["compared"]["controllers"] if name in ("sim.bump", "sim.drive") else []:
         assert one["controller"] == "passive" or one["controller"] in last
         assert f"{one['ride']:.3g}" in text.out
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("synth", ()),
+        ("sim.bump", ("plain",)),  # over a high bump, with a log
+        ("sim.drive", ("--controller", "I", "--class", "D", "--duration", "4", "--timestep", "5e-3", "--no-logs")),  # lifts off
+        ("sim.sweep", ("plain",)),
+        ("sim.margins", ("plain",)),
+        ("sim.inspect", ("plain",)),
+        *attacks([("sim.bump", ("--controller", "I")), ("sim.drive", ("--controller", "I")), ("sim.identify", ("plain",))]),
+    ],
+)
+def test_a_screen_of_details(name, options):
+    """With -v one controller of the quarter-car takes at most 40 lines of 80 columns, and the answer comes before the details.
+
+    Gains have units and signals, and a small margin is marked as a warning.
+    """
+    run = printed(name, *options, "-v") if options[:1] not in ((), ("plain",)) else golden(name, "plain", "-v")
+    assert (run.code, run.err) == (0, "")
+    assert too_wide(run.out) == []
+    assert len(run.out.splitlines()) <= 40 - 3 * ("--no-logs" in options)  # the log's files and a line before them
+    if name in ("sim.bump", "sim.drive"):
+        above, _, details = run.out.partition("\ncontroller I: measures suspension_deflection, sprung_velocity\n")
+        assert re.search(r"^  I +[\d.]+ +[-+]\d+ ", above, re.M)
+        assert details.startswith("  norm 7.843188 at 10.127 Hz, bound 7.871486\n  WARNING: small gain margin 1.21 (1.66 dB), ")
+        assert "\n  gain: 10825.2 N/m suspension_deflection, -2069.5 N s/m sprung_velocity\n" in details
+        assert re.search(ANSWERS[name], details)
 
 
 def texts(found: object) -> set[str]:

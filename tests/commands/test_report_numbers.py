@@ -15,7 +15,8 @@ from sim.bump import main as bump
 from sim.drive.__main__ import main as drive
 from sim.envelope import main as envelope
 from sim.report.__main__ import main as report
-from sim.runs.report import energy_table, verdict
+from sim.report.agreement import energy_table
+from sim.runs.report import verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.over_roads import WINDOW, OverRoads, ride_section, ride_texts
 from sim.studies.subject import SEEDS, SPEED

@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3354   2257      0
+what all commands share: files, options, checks, tables of numbers   3354   2285      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -41,30 +41,30 @@ laws in Python                                                  789    696    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            207    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1350    725    204
+semi-active dampers and laws                                   1374    727    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3523   1922    180
+curves of dampers and springs, statistical linearisation       3468   1923    180
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
     sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/{springs-and-dampers,force-elements}.md
-bump stops                                                      632    166      0
+bump stops                                                      632    167      0
     models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
 parts of a suspension                                          2206   1937      0
     models/parts/{__init__,actuator,element,native,part,placement}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
     tests/models/test_set_voltages.py
-loads, links, tyre damping                                      801   1441     54
+loads, links, tyre damping                                      801   1440     54
     models/roads/loads/* models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
-measured roads, rigs, OpenCRG, IRI                             1425    982      0
+measured roads, rigs, OpenCRG, IRI                             1425    983      0
     models/roads/{iri,opencrg,profile*,rig*}.py tests/*/test_{iri,measured_roads,rig}.py
 analytic and random roads                                      1763    928    166
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
@@ -72,7 +72,7 @@ analytic and random roads                                      1763    928    16
 preview, LQR, LQG, H2                                           572    625     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      422   1154      0
+anti-windup, integrals, compatible options                      422   1155      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                            879    331      0
@@ -91,7 +91,7 @@ sampled data: norm, bound, designs, rates                      2157   1235     8
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/how-to/sampled-data-design.md
-export: C99, fixed point, FMI, MATLAB                          3363   1446    112
+export: C99, fixed point, FMI, MATLAB                          3393   1447    112
     synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/{export,simulink}.md
 full-order H-infinity                                           945    741    114
@@ -120,17 +120,17 @@ plant algebra, filters, any plant                              3120   2127    32
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3532    661    183
+synth command, controller record, designer                     3532    660    183
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
-log re-verification                                             900    579     43
+log re-verification                                             902    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2273   1142     48
+recordings: MCAP, Foxglove, Rerun                              2274   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3709   1380     77
+page and figures                                               3728   1381     77
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2958   1797    205
@@ -147,13 +147,13 @@ margins in physics                                             2147    823     7
 recommendation of a controller                                 1767    417    211
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
-frequency, sweep                                               2072    602     36
+frequency, sweep                                               2076    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3377   1281      0
+ride metrics and their expectation                             3381   1281      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
-measured logs beside runs                                       657    318    103
+measured logs beside runs                                       682    318    103
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
 identification from measured logs                              3237    527    215
     sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
@@ -161,7 +161,7 @@ identification from measured logs                              3237    527    21
 map of validity                                                1317    371     34
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    2958   1099      0
+MuJoCo loop                                                    2958   1100      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
@@ -169,12 +169,12 @@ MuJoCo loop                                                    2958   1099      
 linear responses                                               1121    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2823   1049    106
+runs, verdict, their text                                      2769   1049    106
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1127    987    373
+commands that drive                                            1156    999    364
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py

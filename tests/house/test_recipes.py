@@ -331,7 +331,7 @@ def test_add_a_metric(tmp_path):
             print(abs(run[name][key] * km / run["sprung_acceleration_vdv"][key] ** 4 - 1) < 1e-9)
         same = result["compared"]["controllers"][0]["dose_per_km"] == run[name]["mujoco"]
         print(run[name]["unit"], run[name]["approximate"], same)
-        print(told(drive, *road, "--duration", "2", "--no-logs", "-v").count("m4/s7/km"))
+        print(told(drive, *road, "--duration", "2", "--no-logs", "-v").count("m⁴/s⁷/km"))
         best = json.loads(told(campaign, "campaign.toml", "--best", "dose_per_km", "--json"))
         table = pq.read_table("campaign-results/results.parquet")
         print(table.schema.field("expected_" + name).metadata[b"unit"].decode())

@@ -22,7 +22,8 @@ from sim.bump import main
 from sim.drive.regime import CURVE, REGIME_ENDS, departures, end_times
 from sim.inspect.findings import different
 from sim.linear.nonlinear_elements import at_rest, at_rest_words
-from sim.runs.report import RUN, reasons, verdict
+from sim.runs.record import RUN
+from sim.runs.report import reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import measure_responses
 from synth.controller.report import OF, ideal_lines

@@ -14,7 +14,8 @@ from models.roads.road import Bump
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
-from sim.runs.report import RUN, controller_notes, controller_record, verdict
+from sim.runs.record import RUN, controller_record
+from sim.runs.report import controller_notes, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import Meter, measure
 from synth.__main__ import main as synth

@@ -13,7 +13,8 @@ from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.sampled_response import largest_timestep
-from sim.runs.report import RUN, reasons, verdict
+from sim.runs.record import RUN
+from sim.runs.report import reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller

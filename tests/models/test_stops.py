@@ -15,7 +15,8 @@ from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive.regime import end_times
-from sim.runs.report import RUN, reasons, verdict
+from sim.runs.record import RUN
+from sim.runs.report import reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.stops import stop_note
 from sim.studies.ride.expected import expect

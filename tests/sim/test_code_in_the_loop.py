@@ -19,7 +19,8 @@ from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.report.exported import exported_section
 from sim.report.page import requests_of
-from sim.runs.report import code_notes, reasons
+from sim.runs.code_effect import code_notes
+from sim.runs.report import reasons
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.subject import Subject
 from sim.sweep import main as sweep

@@ -18,7 +18,8 @@ from sim.drive.drive import drive
 from sim.drive.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
 from sim.inspect.__main__ import main as inspect
 from sim.observers.ends import Ends
-from sim.runs.report import controller_notes, controller_record, reasons
+from sim.runs.record import controller_record
+from sim.runs.report import controller_notes, reasons
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
 from tests.support.analysed import simulate_inputs as simulate

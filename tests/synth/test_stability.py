@@ -116,6 +116,6 @@ def test_every_command_calls_it_marginal(paper, tmp_path, capsys):
     drive(
         ["--vehicle", undamped, "--controller", "passive", "--class", "A", "--speed", "10", "--duration", "3", "--no-logs", "-v"]
     )
-    assert "expected" not in capsys.readouterr().out  # a loop without a variance
+    assert "passive, expected" not in capsys.readouterr().out  # a loop without a variance
     with pytest.raises(InputError, match="does not decay"):
         sweep(["--vehicle", undamped, "--controller", "passive"])

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.document.text import text_lines
 from models.laws.linear import LinearLaw
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
@@ -18,7 +17,8 @@ from sim.drive.drive import drive
 from sim.drive.loop import DIVERGENCE_LIMIT, Block
 from sim.observers.ends import Ends
 from sim.observers.results import BALANCE_TOLERANCE
-from sim.runs.report import controller_notes, controller_record, events, reasons, verdict
+from sim.runs.record import controller_record
+from sim.runs.report import controller_notes, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride import run_metrics
 from sim.studies.validity.regime_map import validity
@@ -123,7 +123,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert np.all(np.isfinite(run.physics.until(when).values))
     assert np.abs(run.physics.until(when)["controller_1"][-1]) > 1e300
     found = run_metrics.measure_run(run, first=100)
-    metrics = text_lines(run_metrics.describe(run, found, 0.1, 0.6, ()), "full")
+    metrics = run_metrics.basis(run, found)
     text = "\n".join([*(one.text for one in reasons(run)), verdict(run).text, *metrics])
     assert f"law overflow: the states of the control law overflow; from {when:.4g} s on, the law requests no finite force" in text
     assert f"This run has no metrics: law overflow at {when:.4g} s." in text

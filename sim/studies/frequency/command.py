@@ -74,7 +74,7 @@ examples:
         parser.add_argument(
             "--picture", type=Path, metavar="FILE", help="draw the responses (.png, .svg or .pdf); needs matplotlib"
         )
-        parser.add_printed("errors of each signal, invariants, sampled norms and EUSAMA's minimum loads")
+        parser.add_printed("invariants, sampled norms and EUSAMA's minimum loads")
 
     def check(self, request: StudyRequest) -> None:
         options, vehicle = request.options, request.vehicle
@@ -112,15 +112,17 @@ examples:
         return {"sweeps": [record(one) for one in result.each(request.names)], **options}
 
     def lines(self, request: StudyRequest, result: Responses, files: Sequence[str]) -> list[str]:
+        from models.document.document import Table
         from models.document.text import text_lines
         from sim.studies.frequency.report import workshop
 
         vehicle, verbose, document = request.vehicle, request.options.verbose, self.describe(request, result)
-        _, *lines = text_lines(document, "full" if verbose else "normal")
+        shown = [one for one in document.blocks if not (isinstance(one, Table) and one.name == "signals")]
+        _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose else "normal")
         if verbose and result.sweeps:
             lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
         elif result.sweeps:
-            lines.append("  -v adds errors of each signal, invariants, norms and EUSAMA's minimum loads")
+            lines.append("  -v adds invariants, norms and EUSAMA's minimum loads")
         return [*title_lines(f"{document.title} of {vehicle.kind.name}", vehicle.source), *lines, *files]
 
     def holds(self, result: Responses) -> bool:

@@ -31,7 +31,7 @@ RESPONSES: tuple[Field[Lines], ...] = (
     Field("controller", lambda one: one.controller.name),
     Field("error to sampled", lambda one: one.error(one.sampled).max(), difference),
     Field("to continuous", lambda one: one.error(one.continuous).max(), difference),
-    Field("order of convergence", lambda one: one.order, ".2f", column="order of the two"),
+    Field("order of convergence", lambda one: one.order, ".2f", detail="full", column="order of the two"),
 )
 SIGNALS: tuple[Field[tuple[Lines, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),
@@ -55,13 +55,15 @@ GAINS: tuple[Field[Sweep], ...] = (
 NORMS: tuple[Field[Sweep], ...] = (
     GAINS[0],
     Field("norm, continuous", lambda one: NORM.value(one.controller.certificate), NORM.form),
-    Field("discrete-time norm at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s", column="held-road norm at [rad/s]"),
+    Field("discrete-time norm at", lambda one: one.extremes.worst.omega, ".5g", HZ, unit="Hz", column="held-road norm at [Hz]"),
+    Field("at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s", detail="full", column="held-road norm at [rad/s]"),
     Field("norm, sampled", lambda one: one.sampled and one.sampled.value, GAIN.form),
 )
 INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("controller", lambda of: of[0]),
     Field("invariant", lambda of: f"|{of[1].name}|"),
-    Field("frequency", lambda of: of[1].omega, ".2f", unit="rad/s"),
+    Field("frequency", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
+    Field("angular frequency", lambda of: of[1].omega, ".2f", unit="rad/s", detail="full", column="frequency [rad/s]"),
     Field("for any suspension", lambda of: of[1].expected, ".6f"),
     Field("MuJoCo", lambda of: of[1].measured, ".6f"),
     Field("difference", lambda of: of[1].error, difference),
@@ -81,7 +83,7 @@ LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("least load, predicted", lambda of: of[1].ratio, ".2f", 100, unit="%"),
     Field("MuJoCo", lambda of: of[1].measured, ".2f", 100, unit="%"),
     Field("frequency", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
-    Field("linear regime ended by", lambda of: of[1].end or "-"),
+    Field("linear range ends with", lambda of: of[1].end or "-", column="linear regime ended by"),
 )
 
 
@@ -196,7 +198,7 @@ def _details(sweeps: Sequence[Sweep]) -> Iterator[Table]:
     """Yields the tables that only `-v` prints."""
     signals = [(one.lines, i) for one in sweeps for i in range(len(one.lines.outputs))]
     invariants = [(one.controller.name, each) for one in sweeps for each in one.extremes.invariants]
-    norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:3]
+    norms = NORMS if any(one.sampled for one in sweeps) else NORMS[:-1]
     yield Table.of("signals", "Largest errors of the frequency responses of each signal.", SIGNALS, signals, 2, detail="full")
     bounded = [one for one in sweeps if one.is_bounded]
     yield Table.of("sampled-norms", "Norms of the continuous and of the sampled loop.", norms, bounded, detail="full")
@@ -233,8 +235,8 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
 def workshop(vehicle: Vehicle, sweeps: Sequence[Sweep]) -> Document:
     """Returns the document about the EUSAMA test: the minimum load of each wheel with each controller."""
     text = [
-        "A plate under one wheel at a time moves by 6 mm, at up to 25 Hz. Workshops grade dampers by the smallest tyre load, in "
-        f"% of the static load (EUSAMA TS-02-76). This test is {DISPUTED_LIMIT}."
+        "A plate under one wheel at a time moves by 6 mm, at up to 25 Hz. The grade is the smallest tyre load, in % of the "
+        f"static load (EUSAMA TS-02-76). This test is {DISPUTED_LIMIT}."
     ]
     text += [f"{words}."] if (words := at_rest_words(vehicle)) else []
     loads = [(one.controller.name, load) for one in sweeps for load in one.loads]

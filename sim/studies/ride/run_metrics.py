@@ -1,11 +1,11 @@
 """Metrics of a run: measured in MuJoCo, in the sampled response over the same road, and expected over random roads.
 
-Start with `measure_run`. `describe` and `record` return the metrics as text and as JSON.
+Start with `measure_run`. `record` returns the metrics as JSON, and `summary` and `basis` as text.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import as_name, percent, rough, three_digits
+from models.common.printed import FEW, as_name, percent, rough, three_digits
 from models.document.document import Document, Table, notes
 from models.document.field import OMITTED_KEY, Detail, Field, Record
 from models.document.text import ShownResult, facts
@@ -22,7 +22,6 @@ from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.observers.results import WHEN
-from sim.runs.report import FEW
 from sim.runs.run import Run
 from sim.studies.ride.expected import (
     EXACT,
@@ -40,7 +39,8 @@ from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
-NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by more than this share
+NEARLY = 0.01  # relative difference between the durations of a run and of its road above which a remark is printed
+SETTLED = 0.1  # relative; a variance closer to its final value needs no remark
 NO_ANGLE = 1e-9  # deg, largest rounding error of angles that symmetry keeps at zero
 
 
@@ -274,63 +274,61 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     return RunMetrics(metrics, transient, expected and expected.error, expected and expected.line, static)
 
 
-def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> Document:
-    """Returns the printed document with all metrics of a run and the IRIs of its road.
+def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
+    """Returns two rows for the table of controllers: expected values and standard deviations, by heading.
 
-    Args:
-        run: the run.
-        metrics: metrics of the run.
-        start, end: first and last time of the measurement [s].
-        roughness: IRIs of the driven part of the road.
+    A cell is of the wheel, suspension or actuator with the largest expected value. The result is empty without expected values.
     """
-    vehicle, about = run.vehicle, [*broken_off_sentence(run), *_basis(run, metrics)]
-    title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}{end_words(run.road, end)}"
-    random = any(one.expected is not None for one in metrics.metrics.values())
-    if run.broke_off is not None and not random:
-        return Document(title, notes(*about))
-    rows = [(one.source, one.what, metrics.metrics[one.name]) for one in metrics_of(vehicle, run.road.loaded)]
-    if any(one.iri or one.expected for one in roughness):  # the IRI of a flat road is 0
-        own = [(_name(one, roughness), (one.iri, one.iri, one.expected, one.spread)) for one in roughness]
-        rows = [*(("road", name, MetricComparison(UNIT, *numbers, False)) for name, numbers in own), *rows]
-        about.append(f"{ABOUT_IRI}.")
-    elif without := why_none(run.road):
-        about.append(without)
-    marked = replace(
-        EXPECTED_VALUE, value=lambda one: f"{'~' if one.approximate and one.expected else ''}{EXPECTED_VALUE.cell(one)}"
-    )
-    columns: tuple[Field[tuple[str, str, MetricComparison]], ...] = (
-        Field("signal", lambda row: row[0]),
-        Field("metric", lambda row: row[1]),
-        *(one.of(lambda row: row[2]) for one in (*METRIC[:3], *((marked, SPREAD) if random else ()))),
-    )
-    return Document(title, (Table.of("metrics", title, columns, rows, words=2), *notes(*about)))
+    mean, spread = {"controller": f"{run.controller.name}, expected"}, {"controller": f"{run.controller.name}, +- by road"}
+    for some in compared_metrics(run.vehicle).values():
+        known = [one for each in some if (one := metrics.metrics[each.name]).expected is not None]
+        if known and (column := some[0].column) is not None:
+            worst = max(known, key=EXPECTED_VALUE.value)
+            field = Field[float](column.label, float, three_digits, column.scale, unit=column.unit)
+            mean[field.title] = f"{'~' if worst.approximate and worst.expected else ''}{field.digits(worst.expected)}"
+            spread[field.title] = field.digits(worst.spread)
+    return [mean, spread] if len(mean) > 1 else []
 
 
-def _basis(run: Run, metrics: RunMetrics) -> list[str]:
-    """Returns sentences about the accuracy of the expected values, and about effects that the linear values omit."""
-    vehicle, said = run.vehicle, list[str]()
-    if (settled := metrics.settled) is not None:
-        said.append(
-            f"When the measurement begins, the variance of {settled.signal} is {percent(settled.share)} of its final value. All "
-            "other signals are closer to their final values."
-        )
+def roughness_sentence(run: Run) -> str:
+    """Returns a sentence with the IRIs of the driven part of a road, or the reason why it has none; empty for a flat road."""
+    known = driven_roughness(run.vehicle, run.road, run.prediction.time)
+    if not any(one.iri or one.expected for one in known):  # the IRI of a flat road is 0
+        return why_none(run.road)
+    texts = [
+        f"{_name(one, known)} {three_digits(one.iri)}"
+        + (f" (expected {three_digits(one.expected)} +- {three_digits(one.spread or 0.0)})" if one.expected else "")
+        for one in known
+    ]
+    return f"Roughness of this road [{UNIT}]: {', '.join(texts)}."
+
+
+def basis(run: Run, metrics: RunMetrics) -> list[str]:
+    """Returns sentences about the accuracy of the expected values, and about effects that they omit.
+
+    If the run broke off, the first sentence gives the reason.
+    """
+    vehicle, said = run.vehicle, broken_off_sentence(run)
+    if (settled := metrics.settled) is not None and abs(settled.share - 1) > SETTLED:
+        share = percent(settled.share)
+        said.append(f"When the measurement begins, the variance of {settled.signal} is {share} of its final value.")
     if metrics.error is not None:
-        clauses = dict.fromkeys(one.accuracy for one in metrics_of(vehicle) if one.accuracy)
-        said.append(
-            f"Values with ~ are approximate: {', '.join(clauses)}. For short runs or light damping, the deviation between "
-            "roads (+-) is up to 45 % too large."
-        )
+        known = {one.accuracy: one for one in metrics_of(vehicle) if one.accuracy and one.column is not None}
+        shown = [text for text, one in known.items() if metrics.metrics[one.name].expected is not None]
+        said.append("; ".join([*[f"~: {', '.join(shown)}"] * bool(shown), "+-: up to 45 % too large in short runs."]))
     said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:
         rests = ", ".join(f"{name} {MUJOCO.digits(ANGLE.value(value))} deg" for name, value in metrics.static.items())
         said.append(f"Under the final loads, the linear loop settles at {rests}.")
         said.append("Pitch is positive nose down, and roll right side down.")
         said += [f"{lacking[0].upper()}{lacking[1:]}." for lacking in [left_out(vehicle.parameters, metrics.static)] if lacking]
+    if metrics.error is None:
+        return said
     if vehicle.parts.strokes or vehicle.limits.actuator_force is not None or vehicle.limits.force_rate is not None:
-        said.append("Sampled and expected values are for a vehicle without bump stops and force limits.")
+        said.append("Expected values are for a vehicle without bump stops and force limits.")
     if blur := vehicle.implementation.noise_text:
         said.append(f"Only MuJoCo's values include the {blur} of the measurements.")
-    if metrics.error is not None and metrics.error > EXACT:
+    if metrics.error > EXACT:
         said.append(
             f"Expected values can have a relative error of {ERROR.text(min(metrics.error, 1.0))}, because a resonance is too "
             "narrow for the spectral lines of this road, or for the integral over them."
@@ -349,7 +347,7 @@ def broken_off_sentence(run: Run) -> list[str]:
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     """Returns the document with the largest angles of the body under loads, and the expected ride over random roads.
 
-    For more than `FEW` runs, only `-v` prints the expected ride.
+    For more than `FEW` runs, the expected ride is a detail.
     """
     angles = [
         {

@@ -1,16 +1,15 @@
-"""Table that compares controllers, as text and for `--json`.
+"""Table that compares controllers, as text.
 
 The table has a row per controller, shows changes relative to the passive vehicle, and marks the best values.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from models.characteristics import SIDES
 from models.common.printed import GAP, wrap_text
 from models.document.document import Table
-from models.document.field import Field, Record, if_any
+from models.document.field import Field
 from models.document.text import BEST, CHANGE, names_text, table_lines
 from models.vehicle.names import PASSIVE
 from sim.studies.ride.scores import COLUMNS, FIELDS, FORCES, Score, best, score_field
@@ -50,21 +49,6 @@ def some_names(names: Sequence[str]) -> str:
     return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
-ROW = Record[Score](
-    Record(
-        controller=lambda one: one.controller, vehicle=if_any(lambda one: one.vehicle), without=if_any(lambda one: one.without)
-    ),
-    *FIELDS,
-    lambda one: {key: value for key, value in one.values.items() if key not in COLUMNS},
-    strokes=if_any(lambda one: {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}),
-)
-
-
-def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
-    """Returns the table as a JSON object in SI units, with the best controllers for each column."""
-    return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
-
-
 def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
     """Returns the table that compares controllers. Changes are relative to the passive vehicle of the same file.
 
@@ -97,9 +81,16 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
     return Table.of("compared", caption, (*columns, *more), scores, words=1 + several)
 
 
-def score_lines(scores: Sequence[Score], about: str) -> list[str]:
-    """Returns the printed lines of the table, with its caption below the table."""
+def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str, str]] = ()) -> list[str]:
+    """Returns the printed lines of the table, with its caption below the table.
+
+    Args:
+        scores: scores of the controllers, one per row.
+        about: text that describes the measurement.
+        below: cells of further rows, by heading.
+    """
     one = compared_table(scores, about)
+    one = replace(one, rows=(*one.rows, *(tuple(cells.get(heading, "") for heading in one.headings) for cells in below)))
     return [*(table_lines(one) if len(one.headings) > one.words else []), *wrap_text(one.caption, GAP, len(GAP))]
 
 

@@ -6,13 +6,13 @@ If a vehicle has several wheels, suspensions or actuators, each value is for the
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.extensions import METRICS
 from models.common.printed import three_digits
-from models.document.field import Field
+from models.document.field import Field, Record, if_any
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, REGIME_ENDS, end_times
@@ -144,6 +144,21 @@ def best(scores: Iterable[Score]) -> dict[str, list[str]]:
         least = shown[min(values, key=values.__getitem__)] if values else ""
         names[quantity.key] = [name for name in shown if shown[name] == least] if len(set(shown.values())) > 1 else []
     return names
+
+
+ROW = Record[Score](
+    Record(
+        controller=lambda one: one.controller, vehicle=if_any(lambda one: one.vehicle), without=if_any(lambda one: one.without)
+    ),
+    *FIELDS,
+    lambda one: {key: value for key, value in one.values.items() if key not in COLUMNS},
+    strokes=if_any(lambda one: {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}),
+)
+
+
+def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
+    """Returns the table as a JSON object in SI units, with the best controllers of each column."""
+    return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
 
 
 def scores_of_runs(

@@ -4,7 +4,8 @@ The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, and 
 compared at the sample times of the run or the log, whichever has the longer sample period.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -12,10 +13,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.logs.measured_log import LEAST, MeasuredLog
+from models.common.logs.measured_log import LEAST, MeasuredLog, read_measured_log
 from models.document.document import Document, Table, notes
 from models.document.field import Field
 from models.kinds.signals import Signal
+from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
@@ -56,6 +58,29 @@ class SignalFit:
 
 
 _Row = tuple[Signal, str, SignalFit]  # signal, name of the run, and comparison of this signal in this run
+
+
+def requested_log(options: Namespace, vehicles: Iterable[Vehicle]) -> MeasuredLog | None:
+    """Returns the measured log of `--beside`, limited to the signals of these vehicles; None without this option.
+
+    Raises:
+        InputError: the log cannot be read (see `read_measured_log`), or an option is given that needs `--beside`.
+    """
+    if options.beside is None:
+        for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
+            if name.startswith("beside"):
+                option = f"--{name}".replace("_", "-")
+                raise InputError(f"{option} describes a measured log; give its file with --beside, or omit the option")
+        return None
+
+    columns = dict[str, str]()
+    for text in options.beside_column:
+        name, _, heading = text.partition("=")
+        if not (name and heading) or name in columns:
+            raise InputError(f"--beside-column {text}: give each signal once, with its heading, as in SIGNAL=HEADING")
+        columns[name] = heading
+    units = {signal.name: signal.unit for vehicle in vehicles for signal in vehicle.kind.signals}
+    return read_measured_log(options.beside, units, options.beside_rate, columns)
 
 
 def _fit_of(row: _Row) -> SignalFit:
