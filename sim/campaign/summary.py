@@ -346,8 +346,7 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
     """Returns the expected dynamic load and ride of a vehicle at a speed.
 
-    Both results are empty if the road is not random, if the parameters of the vehicle are sampled, or if the vehicle has no
-    semi-active dampers.
+    Both results are empty if the road is not random, or if the vehicle has sampled parameters or no semi-active dampers.
 
     Args:
         plan: runs of the campaign.

@@ -325,8 +325,8 @@ class EndDetector:
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {self.places[tyre]: self.places[road] for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # hub heights at the last two samples, by index of the tyre's signal [m], shape (2, N)
-        # Each entry contains the index of the end, the threshold of the first run, the index of its signal, the limit in every
-        # run, and a function that computes the limited quantity.
+        # Each entry contains the index of the end, the threshold of the first run, and the index of its signal. The limit in
+        # every run, and a function that computes the limited quantity, follow.
         once = {id(vehicle): vehicle for vehicle in vehicles}  # most runs share one vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [

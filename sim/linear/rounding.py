@@ -2,8 +2,8 @@
 
 Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a relative rounding error of 1e-16, and
 balanced forces of the whole weight support the vehicle. The error of a signal is therefore the same for a bump of a decimetre and
-a bump of a micrometre. The error model assumes that each length among the states changes by a few rounding errors, and each
-velocity by this amount times the vehicle's fastest rate. The linear model gives the effect on the outputs.
+a bump of a micrometre. The error model assumes that each length among the states changes by a few rounding errors. Each velocity
+changes by this amount times the vehicle's fastest rate. The linear model gives the effect on the outputs.
 """
 
 import numpy as np

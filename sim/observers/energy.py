@@ -1,6 +1,6 @@
 """Energy balance of a run: work of road and actuators compared with stored and dissipated energy.
 
-The balance needs no reference response. MuJoCo holds the road within a step, so the road does work only between the steps, where
+The balance needs no reference response. MuJoCo holds the road within a step, so the road does work only between the steps. There,
 the jump of the road height changes the energy of the tyre springs. Within a step, the stored energy changes by the work of
 actuators and loads, minus the energy that the dampers dissipate:
 

@@ -15,9 +15,9 @@ JOULES = Field[float]("energy", float, ".5g", unit="J")
 # every built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes a residual of at least 3e-3.
 BALANCE_TOLERANCE = 1e-3
 # The residual of a fault does not depend on the step, but the residual of RK4 decreases at least with the square of the step. If
-# the residual is too large, the run is therefore repeated at half the step, and this multiple of the observed decrease is allowed
-# in addition. If the error is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430 kN/m that is often
-# in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
+# the residual is too large, the run is therefore repeated at half the step. This multiple of the observed decrease is then
+# allowed in addition. If the error is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430 kN/m that is
+# often in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
 FALLS, COARSEST = 1.5, 0.1  # factor on the decrease, and largest residual that can confirm a balance
 ROUNDING = 1e-8  # turnover relative to the energy in equilibrium, below which the residual is a rounding error
 

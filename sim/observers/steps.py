@@ -3,8 +3,8 @@
 The signals at one sample determine the state. A step of RK4 with the equations of the vehicle file then gives the signals at the
 next sample. The simulated signals must be the same up to rounding errors. The equations include rotating bodies, nonlinear
 characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the simulated state, so an error in
-one step cannot hide an error in another, and all steps can be computed together. Forces and damper coefficients are the commands
-of the controller, with the limits and the lag of the vehicle file.
+one step cannot hide an error in another. All steps can therefore be computed together. Forces and damper coefficients are the
+commands of the controller, with the limits and the lag of the vehicle file.
 
 The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
 beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals

@@ -14,7 +14,7 @@ Linear analysis applies to such a run because the equations are linear, or nearl
 computes the difference only if it is needed. The verdict does not need it.
 
 A vehicle type with rotating bodies but without equations of motion is checked to first order. The run is repeated on the same
-road with its height multiplied by `SMALL`, where the relative difference from the linear response must be smaller by the same
+road with its height multiplied by `SMALL`. The relative difference from the linear response must then be smaller by the same
 factor.
 """
 

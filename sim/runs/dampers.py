@@ -28,8 +28,7 @@ class Shortfall:
         rms: rms of the missing force relative to the rms of the requested force; 0 if no force was requested.
         time: share of the samples at which force is missing.
         softest, hardest: smallest and largest damping coefficient [N s/m], or smallest and largest voltage [V].
-        late: rms of the missing force including the lag of the valve, relative to the same rms as `rms`; None if the valve has no
-            lag.
+        late: like `rms`, but including the force that is missing due to the lag of the valve; None if the valve has no lag.
     """
 
     rms: float

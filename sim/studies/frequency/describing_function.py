@@ -1,8 +1,9 @@
 """Describing function of a loop with a law in Python: its response to one sinusoid at a time, measured in MuJoCo.
 
 The law may be nonlinear. A chirp would therefore mix the responses at different frequencies, and linear analysis cannot predict
-the responses. For each output, the result contains the fundamental (the component at the frequency of the road) and the share of
-energy at other frequencies, due to harmonics, a mean value or transients. The result can depend on the height of the road.
+the responses. For each output, the result contains the fundamental, which is the component at the frequency of the road. The
+result also contains the share of energy at other frequencies, due to harmonics, a mean value or transients. The result can depend
+on the height of the road.
 """
 
 from collections.abc import Sequence

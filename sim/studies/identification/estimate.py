@@ -651,8 +651,8 @@ def _estimate(
 def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
 
-    A side is open if the likelihood does not fall to the level of an interval's end, even when the parameter changes by a factor
-    of 8000 or reaches zero. If residuals are coloured, the required fall is larger, as in the robust covariance.
+    A side is open if the likelihood never falls to the level of an interval's end. The parameter is changed by a factor of up to
+    8000, or to zero if it may be zero. If residuals are coloured, the required fall is larger, as in the robust covariance.
     """
     from scipy.optimize import brentq
 

@@ -256,8 +256,9 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
 def _mirror(of: Estimate) -> dict[str, float]:
     """Returns a second solution of a quarter-car that fits equally well, in which suspension and tyre are exchanged.
 
-    With a damped tyre, the body's motion alone cannot distinguish the stiffnesses and dampings k_s, c_s of the suspension and
-    k_t, c_t of the tyre from k_t m, c_t m and k_s / m, c_s / m, where m = m_s / (m_s + m_u) is the sprung share of the mass.
+    Let k_s, c_s be the stiffness and damping of the suspension, k_t, c_t those of the tyre, and m = m_s / (m_s + m_u). With a
+    damped tyre, the body's motion alone cannot distinguish these values from k_t m, c_t m for the suspension and k_s / m, c_s / m
+    for the tyre.
     """
     names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")
     if any(name not in of.free for name in names) or "sprung_mass" not in of.problem.vehicle.parameters:

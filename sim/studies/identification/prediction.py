@@ -12,8 +12,8 @@ The matrices of a step are differentiated by central differences. The recursion 
 derivatives of the response. The relative error of the derivatives is about 1e-10 for logs of any length, the same as for the
 matrices.
 
-A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). The derivatives of such a vehicle are finite
-differences of responses.
+A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). Derivatives are then finite differences of
+responses.
 """
 
 import math

@@ -15,9 +15,9 @@ Spreads and largest values are computed from the mean spectrum.
 
 The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
 then equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary
-linear run, expected values of mean quantities are exact: mean squares (including the tyre load, which is never negative), shares
-of time, and power and energy of held forces. The integral in the vibration dose value (VDV) is also exact, because E a^4 = 3
-sigma^4 for a Gaussian acceleration a. For nonlinear springs and dampers, equivalent lines are used
+linear run, expected values of mean quantities are exact. These are mean squares (including the tyre load, which is never
+negative), shares of time, and power and energy of held forces. The integral in the vibration dose value (VDV) is also exact,
+because E a^4 = 3 sigma^4 for a Gaussian acceleration a. For nonlinear springs and dampers, equivalent lines are used
 (`statistical_linearisation.py`), which is an approximation.
 
 Expected largest values are approximate. These values are too large if the window is short compared with the decay time of the
@@ -31,8 +31,8 @@ to 45 % too large, because its formula assumes a window much longer than the dec
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
 response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel
 enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j, and x0_j is their equilibrium if
-this wheel is raised by 1. L is the transition matrix over one sample. If wheel j has been on the road for k_j samples, a signal
-with the output row C has the following value at time t, summed over the wheels on the road:
+this wheel is raised by 1. L is the transition matrix over one sample. Wheel j has been on the road for k_j samples. The value of
+a signal with output row C at time t is a sum over the wheels on the road:
 
     A exp(j omega t) - B,    A = sum over j of (C X_j + Cr_j / j omega) e_j,
     B = sum over j of (C L^k_j (X_j - x0_j / j omega) + (C x0_j + Cr_j) / j omega) e_j at the start,

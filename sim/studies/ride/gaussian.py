@@ -9,10 +9,10 @@ density of the normal distribution, and Q the tail probability,
 For a cyclostationary signal, the exact statistics are means over the steps of a period. The other statistics use the mean
 spectrum.
 
-The formula for the variance of a mean square is asymptotic, for a window much longer than the correlation time. min(x, s)^2 is a
-sum of Hermite polynomials of x / sigma. The term of degree k with coefficient c_k contributes (2 / T) c_k^2 times the integral of
-rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, only c_2 is nonzero, and the variance is the
-integral of S^2 df / T.
+The formula for the variance of a mean square is asymptotic, for a window much longer than the correlation time. The function
+min(x, s)^2 is a sum of Hermite polynomials of x / sigma. The term of degree k with coefficient c_k contributes (2 / T) c_k^2
+times the integral of rho^k from 0 to infinity, where rho is the autocorrelation. Without clipping, only c_2 is nonzero, and the
+variance is the integral of S^2 df / T.
 
 The other statistics are approximate. The largest magnitude has Vanmarcke's distribution for both barriers (E. H. Vanmarcke
 (1975), J. Appl. Mech. 42, 215-220). The running mean square has an exact variance. The distribution of the running mean square is

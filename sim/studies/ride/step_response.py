@@ -143,7 +143,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     Args:
         run: run over a `Step`.
         percent: half width of the band [%], relative to the final value. If the final value is zero, the width is relative to the
-            peak of the continuous response, or of the sampled response if there is no continuous one.
+            peak of the continuous response (or else of the sampled response).
         continuous: signals of the continuous response, exact between samples, if they are known.
 
     Raises:

@@ -1,10 +1,10 @@
 """Slowest mode of a loop whose forces are delayed by many samples, computed without the eigenvalues of all pending forces.
 
 If the delay is d samples, the state of the loop contains d pending forces. The eigenvalues of the map from one sample to the next
-have almost equal magnitudes, so an iteration cannot separate the largest eigenvalue from the others. This module uses the d-th
-power of the map, which leads from one state to the state after a whole delay. The eigenvalues of this power are well separated,
-because decaying modes have nearly vanished after one delay. A few dozen applications of this power therefore suffice (Arnoldi's
-method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
+have almost equal magnitudes. An iteration can therefore not separate the largest eigenvalue from the others. This module uses the
+d-th power of the map, which leads from one state to the state after a whole delay. The eigenvalues of this power are well
+separated, because decaying modes have nearly vanished after one delay. A few dozen applications of this power therefore suffice
+(Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
 """
 
 import numpy as np

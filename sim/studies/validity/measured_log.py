@@ -26,8 +26,8 @@ LEAST_OVERLAP = 0.5  # smallest overlap of log and run for a correlation, relati
 MOST_SAMPLES = 2**21  # largest number of samples of log and run that are correlated
 WEAK = 0.5  # if the correlation is smaller, a remark asks the user to check the start
 OFFSET = 0.1  # a remark is printed if removing an offset improves the fit by more
-# A wrong sign is suggested if the correlation with the opposite sign is at least this large, and this many times larger than with
-# the given sign.
+# Smallest correlation with the opposite sign that suggests a wrong sign, and its smallest ratio to the correlation with the given
+# sign.
 OPPOSITE, CLEARLY = -0.5, 1.1
 
 
