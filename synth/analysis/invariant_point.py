@@ -118,8 +118,8 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     states are multiplied by 1 - j t.
 
     Returns:
-        The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m); the matrix of the
-        effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r); and the denominator of this matrix.
+        The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m). The matrix of the
+        effects of w on the real and imaginary parts of p* z, shape (2 (n + d), 2 r), and the denominator of this matrix.
     """
     n, m = plant.B.shape
     system, unit = integers(plant.system_matrix)
@@ -144,8 +144,8 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
 def limit_at_infinity(plant: Plant) -> float:
     """Returns a proved lower bound on the norm at infinite frequency for all proper controllers of y = C_y x + Dyw w.
 
-    The bound is the norm of Dw, restricted either to disturbances that have no feedthrough to y, or to outputs to which the
-    control forces have no feedthrough. The bound is 0 if nothing is proved.
+    The bound is the norm of Dw, restricted to disturbances without feedthrough to y, or to outputs without feedthrough from the
+    control forces. The bound is 0 if nothing is proved.
     """
     return max(_limit_beside(plant.Dyw.T, plant.Dw), _limit_beside(plant.D, plant.Dw.T))
 

@@ -1,8 +1,8 @@
 """Lower bounds on the norm for all controllers, proved by dual solutions in exact arithmetic.
 
 A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if X > 0 and S > 0 exist with [X I; I S] >=
-0. Here X solves the `SynthesisInequality` of the plant with eta = gamma^-2, and S solves the inequality of the transposed plant
-(Gahinet, Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
+0. Here X solves the `SynthesisInequality` of the plant with eta = gamma^-2. S solves the inequality of the transposed plant
+    (Gahinet, Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 

@@ -6,8 +6,8 @@ is a minor of the matrix, so the size of the integers grows only with the number
 The definiteness of M is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition succeeds, M is
 positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of positive
 definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 = gamma_j / (1 -
-gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The test never accepts a matrix that is not positive definite,
-but it rejects a positive definite matrix that is so close to singular that rounding could make it singular.
+gamma_j) M_jj, and gamma_j is about j times the unit roundoff. The test never accepts a matrix that is not positive definite.
+The test rejects a positive definite matrix that rounding could make singular.
 """
 
 from dataclasses import dataclass

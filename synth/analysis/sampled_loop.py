@@ -400,8 +400,8 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    In addition to the states of the plant, the discrete plant of a level has states for previous forces that are still delayed
-    or part of a measurement, the latest force first. Gains do not act on these states. A controller that uses its own previous
+    The discrete plant of a level has the states of the plant, and states for previous forces that are still delayed or part of
+    a measurement. The latest force comes first. Gains do not act on these states. A controller that uses its own previous
     output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its

@@ -13,9 +13,9 @@ rows of F' give the states that follow from y and its derivatives whatever w is.
 X can also grow without bound along stable states that are unobservable in z.
 
 **Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
-He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. For a discrete plant, inputs that
-do not appear in z do not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F
-contains the states that inputs can bring to zero within some samples while z is zero.
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs that do not appear in z do
+not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the states
+that inputs can bring to zero within some samples while z is zero.
 
 All ranks are determined in integers from the given numbers, without tolerances. The result therefore depends neither on the
 magnitude of a direction nor on the units of states, inputs, time, w and z.

@@ -51,9 +51,9 @@ class Designs:
         rows: rows of the table, one for each controller.
         limit: lower bound on the norm that no control force can change.
         plant: generalized plant of this bound.
-        flat: how far each state-feedback gain may change; see `_flatness`.
+        flat: allowed change of each state-feedback gain; see `_flatness`.
         passive: expected ride of the passive suspension [m/s2]; None if it is not defined.
-        expected_rides: for a vehicle with persons, expected ride [m/s2] by point and by controller; points where a person sits
+        expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
         without: norm without control; infinite if the vehicle is not damped.
     """
@@ -214,8 +214,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     a gain.
 
     Returns:
-        For each state, the largest gain that acts on this state, and how far this gain may fall and rise; None if the change is
-        unlimited.
+        For each state, the largest gain that acts on this state, and its allowed decrease and increase; None if unlimited.
     """
     if designer.vehicle.integrals:
         return {}

@@ -14,7 +14,7 @@ AXES_HELP = (
     "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 15 s, with tolerance 20 s"
 )
 
-ALONE = {  # by option: its effect, and the options with which it can be combined
+ALONE = {  # options that exclude others, each with its effect and the options with which it can be combined
     "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture", "certificates")),
     "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
     "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),

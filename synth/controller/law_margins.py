@@ -50,8 +50,8 @@ class LawMargins:
     Attributes:
         growth: growth rate of the fastest growing state of the law itself [1/s]; 0 if no state grows.
         winds_up: if the law winds up, text about the limit that clips the forces; else empty.
-        gain: factor between 1 and `LEAST_GAIN` at which the loop becomes unstable; infinite if there is none.
-        gain_lower: factor between 1 / `LEAST_GAIN` and 1 at which the loop becomes unstable; 0 if there is none.
+        gain: factor between 1 and `LEAST_GAIN` at which the loop becomes unstable; infinite if no such factor exists.
+        gain_lower: factor between 1 / `LEAST_GAIN` and 1 at which the loop becomes unstable; 0 if no such factor exists.
         disk: symmetric disk margin from 0 to 2. None if the ideal loop is unstable, if no measurement causes a force, or if the
             law is a passive element with inertance.
         direct_feedback: spectral radius of H, taking actuator lag into account; 0 if no measurement contains the force without
@@ -133,7 +133,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
 
 
 def law_fault(vehicle: Vehicle, controller: AnyController) -> str:
-    """Returns the reason why a controller is never called the best; empty if there is none, or if the law is not linear."""
+    """Returns the reason why a controller is never called the best; empty if no reason exists or the law is not linear."""
     if controller.growth:
         return "unstable by itself"
     margin = law_margins(vehicle, controller).disk
@@ -179,7 +179,7 @@ def _clipped_forces(vehicle: Vehicle) -> str:
 def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if a law acts like passive springs, dampers and inerters in the suspensions.
 
-    The loop of such a law is always stable.
+    The loop with this law is always stable.
 
     With the suspension deflections d, the law is then u = -(K d + C d' + M d''), where K and M are symmetric, and none of the
     three parts produces energy.

@@ -5,8 +5,8 @@ add sensor noise and loads on the body, which are disturbances in addition to th
 whose states are added to the states of the vehicle.
 
 If z contains the integral of a signal, this integral is a state of the plant. The integral counts as measured if its signals
-are measured, because a law can integrate its measurements as the plant does. The first states of such a law are then also
-states of the plant, and the closed loop contains them only once (`integral_action.py`).
+are measured, because a law can integrate its measurements as the plant does. The first states of this law are then also states
+of the plant, and the closed loop contains them only once (`integral_action.py`).
 
 A law in a theoretical study may measure heights above the datum of a flat road. These heights contain the road height z_r,
 which then acts on the vehicle through the law:
@@ -382,7 +382,7 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
             )
 
 
-SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its relative size is smaller
+SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its relative size is smaller than this
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:

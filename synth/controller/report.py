@@ -158,7 +158,7 @@ def false_norm(
 
 # if a gain changes by less than this relative amount over the last hundredfold decrease of mu, it is within 1e-4 of its limit
 SETTLED_CHANGE = 1e-2
-SHORT = 1e-6  # the central path counts as completed if the relative gap in gamma is smaller
+SHORT = 1e-6  # the central path counts as completed if the relative gap in gamma is smaller than this
 
 
 def law_text(law: LinearLaw) -> str:

@@ -18,7 +18,7 @@ from models.laws.linear import LinearLaw
 from synth.plant.loop import HoldInterval, Loop
 from synth.plant.state_space import spectral_radius
 
-DECAYS = 1e-9  # a mode counts as not decaying if its decay, relative to the fastest rate of the law, is smaller
+DECAYS = 1e-9  # a mode counts as not decaying if its decay, relative to the fastest rate of the law, is smaller than this
 FINER = 0.05  # largest angle by which a pole may turn from one tested sample period to the next [rad]
 TOGETHER = 128  # number of sample periods that are computed together
 MOST_SQUARINGS = 4  # largest number of squarings of a transition matrix to prove that it is a contraction

@@ -70,7 +70,7 @@ class Margins:
 
     Attributes:
         gain: smallest factor above 1 at which the loop is unstable.
-        gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is none.
+        gain_lower: largest factor below 1 at which the loop is unstable; 0 if no such factor exists.
         crossovers: all crossovers, ordered by increasing delay. The first crossover gives the delay margin.
         sample_period: shortest sample period at which the loop is unstable [s].
         disk: disk margin, for complex factors on the forces.

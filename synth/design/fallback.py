@@ -2,9 +2,9 @@
 
 The two steps can fail in several ways: a central path ends early, the gain grows without limit, or a problem is too large.
 Problem (25) may also have no solution for any X that is tried. A stabilising gain may still exist, and the search in
-`static.py` does not need a central path. Reasons why no gain can exist are checked and reported first: a mode that no force
-affects or no measurement contains, or poles that no gain can change. If filters or noise keep the two steps far above the lower
-bound, descent continues from their result.
+`static.py` does not need a central path. Reasons why no gain can exist are checked and reported first. Such reasons are a mode
+that no force affects or no measurement contains, and poles that no gain can change. If filters or noise keep the two steps far
+above the lower bound, descent continues from their result.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # origin of a lower norm
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
-NEAR = 1e-3  # the result of the two steps is not refined if its relative distance to the lower bound is smaller
+NEAR = 1e-3  # the result of the two steps is not refined if its relative distance to the lower bound is smaller than this
 # relative distances between the norm of a state feedback and the lower bound, tried in this order
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))
 MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from zero

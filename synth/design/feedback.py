@@ -93,7 +93,7 @@ def design_feedback(
             law from each measurement to its force.
         pid: time constant [s] of the low-pass of the derivative for "pid", for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.
-        lower_bound: for the certificate: lower bound on the norm of every controller from these measurements, if known.
+        lower_bound: lower bound on the norm of every controller from these measurements, if known; the certificate contains it.
         states: names of the states, for messages.
 
     Returns:

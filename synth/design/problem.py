@@ -89,7 +89,7 @@ class DesignProblem:
         stable: True if the law itself must be stable.
         fastest_pole: largest magnitude of the loop's poles [rad/s]; None if there is no limit.
         largest_gain: largest allowed |K_ij| of a static gain.
-        noise: for "lqg", rms of the white noise of each measurement, shape (q,); None if there is no noise.
+        noise: rms of the white noise of each measurement for "lqg", shape (q,); None if there is no noise.
         preview: time by which w is known in advance [s].
         sampled: sampled-data problem, in which w does not contain the measurement noise; None to design for the ideal
             continuous loop.
@@ -98,10 +98,10 @@ class DesignProblem:
             ideal loop.
         near: estimate of the norm of the sampled-data loop.
         goals: goals of a static gain; None if only the norm is minimised.
-        errors: for a design of robust performance, plant with frequency-weighted uncertainties; None if there are none.
-        alternatives: True to compute a lower bound for a static gain, to continue if the two steps end above this bound, and to
-            use another method if Riccati equations fail. For a vehicle file, this is False, so that the result of the two steps
-            is not changed.
+        errors: plant with frequency-weighted uncertainties, for a design of robust performance; None for other designs.
+        alternatives: True to compute a lower bound for a static gain, and to continue if the two steps end above this bound.
+            Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that the result of
+            the two steps is not changed.
         thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
             plants.
         lower_bound: lower bound on the norm of every controller from these measurements, if known.
@@ -175,8 +175,7 @@ class DesignResult(ShownResult):
         criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
             if there is no sample period, or if no bound is proved.
-        level: for the two-step method in the sampled-data loop, upper bound on the sampled norm from its LMI; None for other
-            designs.
+        level: upper bound on the sampled norm that the LMI of the two-step method gives; None for other designs.
         redundant: indices of the measurements that are linear combinations of others. The gain on these measurements is zero.
         case: text about the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not degenerate.
         instead: text with the fallback method and the reason why the two steps found no gain; empty if they found a gain.
@@ -189,7 +188,7 @@ class DesignResult(ShownResult):
         moved: last change of the gain along its central path, relative to the largest entry of the gain. This change is about a
             hundred times the distance to the limit of the path. This change is at most 4e-5 for the built-in cars, and for the
             two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a
-            hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of such a gain is proved, but no
+            hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of this gain is proved, but no
             digit of the gain agrees with the optimal gain.
         origin: text about the starting point from which the search found the law; empty if there was no search.
         two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.

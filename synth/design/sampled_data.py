@@ -2,9 +2,9 @@
 
 For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). The states
 of this plant include the delayed forces, and the disturbances include the measurement noise. A law for this plant therefore
-takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level: a method
-designs a law at one level, and the exact norm of the sampled-data loop with this law (`synth/analysis/sampled_norm.py`) becomes
-the next level.
+takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method
+designs a law at one level. The exact norm of the sampled-data loop with this law (`synth/analysis/sampled_norm.py`) becomes the
+next level.
 
 - Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
 - A given order or structure: descent. Descent starts at a level near the lower bound, and continues from the law of the last
@@ -15,16 +15,16 @@ the next level.
     unique, and depends neither on a solver nor on units.
 
 The delayed forces are states that no measurement contains. L determines how the delayed forces are estimated. If L is based on
-the optimal state feedback, the second step may have no solution; a solution may still exist if L is based on another gain that
+the optimal state feedback, the second step may have no solution. A solution may still exist if L is based on another gain that
 is equally good. Descent on the exact norm then starts from the results and from the continuous design, and the result with the
 lowest norm is used. The gain of the two steps is kept if descent hardly lowers its norm. If the two steps find no gain, or if
-the vehicle without control has a lower norm, descent starts from all known gains, and a remark gives the reason. The two steps
+the plant without control has a lower norm, descent starts from all known gains. A remark then gives the reason. The two steps
 ignore measurement noise; descent takes it into account.
 
 The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
 period. A gain that is good for a short period may make the loop unstable for a long period. Descent therefore starts at the
 minima of the norm along the line through zero and a known gain, on both sides of zero. If descent ends more than 1 % above a
-lower bound, or finds no gain, the search for static gains (`static.py`) continues for the discrete plant of one level.
+lower bound, or finds no gain, the search for static gains (`static.py`) follows for the plant of one level.
 """
 
 import contextlib
@@ -61,9 +61,9 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import own_units
 
 DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
-WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller
-# the search ends if a level lowers the norm by less than this relative amount, because the remaining distance is about the
-# square of the last decrease
+WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller than this
+# the search ends if a level lowers the norm by less than this relative amount. The remaining distance is about the square of
+# the last decrease
 WORTH = 1e-4
 # largest number of levels: by default, for laws that must themselves be stable (one descent per level), and for `down`
 LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8
@@ -91,7 +91,7 @@ CLOSE = 1e-9  # a norm within this relative distance of 1 counts as 1
 GROW = 1.05  # factor to the next level if the level has no solution; the factor is squared each time
 FAR = 1e3  # ratio between the highest level that is tried and the level at which the search starts
 ROUNDS = 60  # largest number of rounds; about five are usually needed
-# largest number of unknowns of (22) for a level (21 states, one input); a dozen or two of such problems take half a minute
+# largest number of unknowns of (22) for a level (21 states, one input); solving (22) a dozen or two times takes half a minute
 MOST = 260
 ROUNDING = 1e-7  # relative amount by which the norm of a gain may exceed the level of its central path
 

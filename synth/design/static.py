@@ -39,7 +39,8 @@ from synth.plant.units import size
 
 # if stable random gains exist in at least this number of decades of gain magnitude, a few stabilising starts are enough
 ENOUGH_SAMPLES = 4
-# number of stabilising starts: if random gains suffice, if they do not suffice, and if no start is stable yet
+# numbers of stabilising starts. The first is for enough stable random gains, the second for too few of them, and the third for
+# no stable start at all
 FEW, MANY, MOST = 2, 6, 18
 LARGE = 30  # for plants with more states, stabilising starts, which take minutes, are used only if no other start is stable
 ALL = 100  # upper limit on the number of starts; it is never reached
@@ -50,7 +51,7 @@ AGAINST = 3  # number of starts if `rival` is given
 # number of starts for a plant with `LARGE` states; a larger plant has fewer starts, so that the total work is the same
 MOST_STARTS = 8
 SAME = 1e-4  # descents whose norms differ by less than this relative amount have found the same minimum
-BOUND_TOLERANCE = 1e-4  # the search ends if the relative distance between the norm and the lower bound is smaller
+BOUND_TOLERANCE = 1e-4  # the search ends if the relative distance between the norm and the lower bound is smaller than this
 # relative distance between the lower bound and the norm of the state feedback from which descent starts; a smaller distance
 # gives a larger gain
 NEAR = 1e-3
@@ -199,7 +200,7 @@ class GainSearch:
         structure: argument of `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
             the limit.
-        enough: the search ends if the relative distance to the lower bound is smaller.
+        enough: the search ends if the relative distance to the lower bound is below this value.
         rival: argument of `static_output_feedback`.
         work: counter of the work of the search. A descent ends if the limit of this counter is exceeded. Default: no limit.
         """

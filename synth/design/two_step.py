@@ -182,10 +182,10 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
 
     Args:
         path: central path from `state_path`; if empty, the path is computed.
-        lower_bound: for the certificate: lower bound on the norm of every state feedback.
+        lower_bound: lower bound on the norm of every state feedback; the certificate contains it.
 
     Raises:
-        InfeasibleError, DesignError: as for `state_path`; also DesignError if no certificate holds.
+        InfeasibleError, DesignError: an error of `state_path` occurs, or no certificate holds.
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
@@ -253,7 +253,7 @@ def two_step_design(
         Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the matrix of the plant. The gain on rows that depend
             linearly on other rows is zero.
         path: central path of (22); if empty, the path is computed.
-        lower_bound: for the certificate: lower bound on the norm of every controller from these measurements.
+        lower_bound: lower bound on the norm of every controller from these measurements; the certificate contains it.
         states: names of the states, for messages.
 
     Returns:

@@ -180,7 +180,7 @@ class Designer:
 
         Args:
             name: name of a controller of the vehicle file, or `passive` or `state`.
-            zero_l: for an output-feedback design in two steps, True to use L = 0 instead of (14), as in remark 4 of the paper.
+            zero_l: True to use L = 0 instead of (14) in the two steps of an output-feedback design, as in remark 4 of the paper.
             on_progress: function that is called with the progress of a design for goals.
 
         Returns:

@@ -2,7 +2,7 @@
 
 A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may reduce the norm and still make
 the ride worse. The expected ride is therefore also computed, from the road spectrum and the ideal loop. The vertical road
-velocity is white noise of density G_v within its band, the rear wheels follow with a delay, and a coherence function relates
+velocity is white noise of density G_v within its band. The rear wheels follow with a delay, and a coherence function relates
 the left and right tracks. Let H be the response of an acceleration to the road under every wheel. Let e be the response of the
 road to two independent white sources, and W_k the frequency weighting. Then
 

@@ -225,7 +225,7 @@ def verify_specifications(
         entry: controller's section.
         goals: goals of the section.
         law: static law of the section.
-        search: for a family, True to include the ratio of the norm to each vehicle's individual optimum, which requires
+        search: True to include, for a family, the ratio of the norm to each vehicle's individual optimum. This ratio requires
             additional designs.
 
     Raises:

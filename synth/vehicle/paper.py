@@ -117,7 +117,7 @@ TO_RELATIVE = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 
 ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states (30) are TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
 BOX = 2e4  # largest allowed entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
 SEED = 1
-TOLERANCE = 1e-6  # the search ends if the relative spread of norms in the population is smaller
+TOLERANCE = 1e-6  # the search ends if the relative spread of norms in the population is smaller than this
 UNSTABLE = 1e6  # value for an unstable loop: far above the norms of stable loops, and larger if the loop grows faster
 
 

@@ -83,7 +83,7 @@ class Verification:
         return tuple(specifications)
 
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
-        """Returns the specifications of a norm over the family: without gain errors and, if there are any, with errors."""
+        """Returns the specifications of a norm over the family: first for no gain errors, then for the worst ones, if any."""
         of = [_norm(member.plants[spec.which], self.K, spec) for member in self.problem.members]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]
@@ -171,7 +171,7 @@ class Verification:
         return WorstNorm(max(values), worst.sensors, worst.forces, proof.bound if proof is not None else np.inf, proof)
 
     def decay(self, rate: float) -> list[Specification]:
-        """Returns the specifications of the slowest pole in the family: without and, if there are any, with gain errors.
+        """Returns the specifications of the slowest pole in the family: first without, then with gain errors, if any.
 
         If there are gain errors, all poles are shifted to the right by the rate. The decay rate is proved if the shifted loops
         are stable.

@@ -64,12 +64,12 @@ class ExportedLaw:
         change: largest change of a force per sample [N]; None without limit.
         delay: delay from a measurement to its output [samples].
         anti_windup: anti-windup gain, shape (k, m); None without anti-windup.
-        dampers: for each semi-active damper, its nominal coefficient, and the smallest and largest difference from this value
+        dampers: nominal coefficient of each semi-active damper, and the smallest and largest difference from this coefficient
             [N s/m]; empty for force actuators.
         semi_active: name of the semi-active law; empty for a linear law.
         coefficients: numbers of the semi-active law; None for a linear law.
         modes: number of measurements of body modes; they come before the measurements of the suspensions.
-        ranges: for fixed point, largest magnitude of each measurement, shape (q,); None for floating point.
+        ranges: largest magnitude of each measurement for fixed-point code, shape (q,); None for floating point.
         range_sources: text about the source of each range.
     """
 
@@ -149,12 +149,13 @@ def exported_law(
         driver: controller of this vehicle.
         numbers: number format, as in `ExportedLaw`.
         name: prefix of the names in C.
-        ranges: for fixed point, largest magnitude of each measurement, by name. Measurements with a proved peak may be omitted.
-        sources: for each range in `ranges` that the user did not give, a text about its source, by name.
+        ranges: largest magnitude of each measurement for fixed-point code, by name. Measurements with a proved peak may be
+            omitted.
+        sources: texts about the sources of those `ranges` that the user did not give, by name.
 
     Raises:
-        InputError: the controller is a Python law or an FMU, it has states or a rate limit but no sample period, or it controls
-            dampers that cannot be exported.
+        InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers
+            that cannot be exported.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if driver.user_code is True:

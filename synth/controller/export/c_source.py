@@ -303,7 +303,7 @@ class CSource:
 
         Args:
             total: name of the C variable for the sum.
-            products: for each product, the name of the table, the name of the vector, and its number of entries. Empty vectors
+            products: name of the table, name of the vector, and number of entries of the vector, for each product. Empty vectors
                 are omitted.
         """
         start, lines = "0" if self.fixed is not None else self.zero, list[str]()

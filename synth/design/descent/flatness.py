@@ -10,8 +10,8 @@ from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant
 
 SMALLEST = 1e-4  # size of the first step, relative to the scale of a gain entry
-# number of steps, each four times the previous one, after which a change counts as unlimited; number of bisections that follow,
-# which give the change to within a hundredth
+# number of steps, each four times the previous one, after which a change counts as unlimited. The bisections that follow give
+# the change to within a hundredth
 STEPS, HALVINGS = 16, 8
 
 

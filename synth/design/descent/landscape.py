@@ -11,12 +11,12 @@ A discrete plant is represented by the continuous plant into which the bilinear 
 frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The gain that acts on
 them is (I - K Dyu)^-1 K.
 
-If two measurements are large and nearly equal, the norm depends strongly on the gain for their sum, but hardly on the gain for
-their difference. An example is a slowly drifting reference and the position that follows it. The same occurs if two forces
-nearly cancel in z. In the original coordinates, the norm as a function of the gain then has a narrow valley. A change dK of the
-gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the measurements
-uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise forces
-orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
+If two measurements are large and nearly equal, the norm depends strongly on the gain for their sum. The norm hardly depends on
+the gain for their difference. An example is a slowly drifting reference and the position that follows it. The same occurs if
+two forces nearly cancel in z. In the original coordinates, the norm as a function of the gain then has a narrow valley. A
+change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the
+measurements uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise
+forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
 """
 
 import contextlib

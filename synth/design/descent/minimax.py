@@ -199,7 +199,7 @@ class MinimaxProblem:
 
 
 FIRST, LARGEST = 4.0, 1e6  # initial and largest penalty: relative increase of the goals per relative violation of a bound
-FLAT = 1e-7  # the descent ends if the relative decrease over `OVER` rounds is smaller
+FLAT = 1e-7  # the descent ends if the relative decrease over `OVER` rounds is smaller than this
 OVER = 10
 MOST_PAIRS = 400
 LITTLE = 1e-3  # functions with a smaller weight are neglected in the curvature
@@ -209,8 +209,8 @@ def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enou
     """Minimises the norm, starting at a stable point x, subject to |x_i| <= limit_i.
 
     The descent ends if the norm is at most `enough`, or if a stage hardly lowers the norm. Every stage computes its own
-    coordinates and starts without curvature, because the curvature of the previous stage belongs to other edges and would only
-    shorten the steps.
+    coordinates and starts without curvature. The curvature of the previous stage belongs to other edges and would only shorten
+    the steps.
 
     Returns:
         The final point, and its norm.
@@ -250,7 +250,7 @@ def descend(
         enough: value of the goal at which the descent ends.
         settled: the descent ends immediately, without another refinement of the model, if the predicted relative decrease is
             smaller.
-        flat: the descent ends if the relative decrease over `OVER` rounds is smaller.
+        flat: the descent ends if the relative decrease over `OVER` rounds is below this value.
 
     Returns:
         The final point, and its evaluation.

@@ -7,9 +7,9 @@ a static gain. For each order, the starting points of the search are
 - the law with one state less, to which a state is added that receives the measurements but has no effect yet;
 - random laws of every magnitude, if none of these laws is stable.
 
-The search is the same as for static gains (`design/static.py`), but the plant includes the law's states, and the gain has the
-zeros that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated
-with a smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
+The search is the same as for static gains (`design/static.py`), but the plant includes the law's states. The gain has the zeros
+that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
+smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
 allowed.
 """
 

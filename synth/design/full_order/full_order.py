@@ -159,7 +159,7 @@ def full_order_design(
 
     If no such controller is found, the result is the controller whose norm is closest to the bound.
 
-    Closed-loop poles that are more than 100 times as fast as the plant must be worthwhile: each tenfold increase in speed must
+    Closed-loop poles that are more than 100 times as fast as the plant must be worthwhile. Each tenfold increase in speed must
     lower the norm by at least 0.1 %.
 
     Args:
@@ -168,7 +168,7 @@ def full_order_design(
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
         lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
         states: names of the states, for messages.
-        fastest: for a continuous plant, limit on the magnitude of the closed-loop poles, relative to the plant's own speed.
+        fastest: limit on the magnitude of the closed-loop poles of a continuous plant, relative to the plant's own speed.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.

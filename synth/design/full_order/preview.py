@@ -47,9 +47,9 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
         `without` is the H2 norm without preview.
 
     Raises:
-        InputError: as for `lqr_design`, or the preview time is not allowed.
+        InputError: the preview time is not allowed, or an error of `lqr_design` occurs.
         InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
-        DesignError: as for `lqr_design`, or some force has no weight in z.
+        DesignError: some force has no weight in z, or an error of `lqr_design` occurs.
 
     Example:
         >>> from synth import GeneralizedPlant, preview_design

@@ -88,7 +88,7 @@ def lqg_design(
         InputError: C_y or the noise does not fit the plant; otherwise as for `lqr_design`.
         InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
             be stabilised.
-        DesignError: as for `lqr_design`, or w does not excite a mode that does not decay.
+        DesignError: w does not excite a mode that does not decay, or an error of `lqr_design` occurs.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -122,7 +122,7 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
         A law with as many states as the plant, its certificate, and its H2 norm.
 
     Raises:
-        InputError, InfeasibleError, DesignError: as for `lqg_design`.
+        InputError, InfeasibleError, DesignError: an error of `lqg_design` occurs.
 
     Example:
         >>> from synth import GeneralizedPlant, h2_design
@@ -141,7 +141,7 @@ def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
 
     Raises:
         DesignError: LQR was requested, but not every state is measured.
-        InputError, InfeasibleError, DesignError: as for `lqr_design`, `lqg_design` and `h2_design`.
+        InputError, InfeasibleError, DesignError: an error of `lqr_design`, `lqg_design` or `h2_design` occurs.
     """
     plant, states = problem.plant, problem.states
     if problem.design == "lqr":

@@ -22,8 +22,8 @@ and outputs:
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
 A larger share gives a slower controller. The share is therefore reduced until the required gamma is reached, which gives the
-slowest controller with this gamma. If no share reaches this gamma, or only with controllers that are too fast for an actuator,
-the search returns the trade-off between norm and speed: the smallest gamma for each share.
+slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an actuator, the
+search returns the trade-off between norm and speed. This is the smallest gamma for each share.
 
 If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
 equally good. Each law that is too fast is therefore also tried without its fast poles.
@@ -50,7 +50,7 @@ from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
 
-RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual, relative to the largest term, is smaller
+RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual, relative to the largest term, is smaller than this
 NEGATIVE = 1e-9  # relative to the largest eigenvalue; rounding may make a zero eigenvalue negative by this amount
 EDGE = 1e-9  # a spectral radius whose relative distance from gamma^2 is smaller counts as too large
 
@@ -231,7 +231,7 @@ def _root(A: Array, B: Array) -> Array:
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller
+WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller than this
 # shares: added noise and cost, relative to the disturbance of the states and to the weight of the states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
 STATES = 0.1  # additional disturbance and weight of all states, as a multiple of the share

@@ -4,7 +4,7 @@ Central laws for a larger gamma are slower, and some of them are stable. A desce
 descent lowers the norms of two plants with one gain [D, C; B, A]. The first is the given plant with the law's states. The
 second consists of the law's states alone, x_c' = v, with a small weight. The closed loop of the second plant is x_c' = A x_c,
 whose norm is finite as long as the law itself is stable. If a law subtracts forces from its measurements, its matrix A changes
-before the law is executed. The stability of such a law is therefore checked in the form in which it is executed.
+before the law is executed. The stability of this law is therefore checked in the form in which it is executed.
 """
 
 import contextlib

@@ -29,8 +29,8 @@ class MultiObjectiveDesign:
     Attributes:
         gain: gain matrix K, shape (m, q).
         goal: largest norm over all members and all errors found, or largest ratio of a member's norm to its individual optimum.
-        rejected_improvement: relative decrease of the goal that a gain up to twice as large would achieve, but which was
-            rejected as too small; None if there was none.
+        rejected_improvement: relative decrease of the goal that a gain up to twice as large would achieve. The decrease was
+            rejected as too small. None if no decrease was rejected.
         errors: gain errors that the search took into account, in addition to the case without errors.
         problem: problem that was solved.
     """
@@ -151,7 +151,7 @@ def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProb
     """Returns the problem whose goal is the largest ratio of a member's norm to its individual optimum, with the same bounds.
 
     Raises:
-        DesignError: for one of the members, even on its own, no gain fulfils the bounds.
+        DesignError: no gain fulfils the bounds for one of the members, even on its own.
     """
     bests = []
     for i in range(len(problem.members)):

@@ -21,7 +21,7 @@ from synth.design.multi_objective.road_response import (
     step_for,
 )
 
-# time step, as the phase angle by which the fastest pole without control turns [rad]; the error of a peak of a cubic is then
+# time step, as the phase angle by which the fastest pole without control turns [rad]. The error of a peak of a cubic is then
 # below 1e-6 of its value
 STEP = 0.1
 # number of periods of the slowest oscillation without control for which peaks are also searched after the end of the road

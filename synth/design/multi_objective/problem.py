@@ -213,7 +213,7 @@ class MultiObjectiveProblem(CheckedFields):
 
 
 TIGHTER = 1e-7  # relative margin by which bounds are tightened, to allow for rounding
-# relative amount by which the required decay rate is raised if there are errors; at the bound itself, nothing can be proved for
+# relative amount by which the required decay rate is raised if there are errors. At the bound itself, nothing can be proved for
 # a whole box of errors
 AND_FOR_ERRORS = 0.02
 

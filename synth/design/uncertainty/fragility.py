@@ -44,8 +44,8 @@ def round_law(law: LinearLaw, to: str) -> LinearLaw:
     """Returns a law with its matrices rounded to another number format.
 
     Args:
-        to: number format: "int16", relative to the largest entry of each matrix; or "float16", for which a matrix is divided by
-            a power of two if an entry is too large.
+        to: number format "int16" or "float16". For "int16", numbers are relative to the largest entry of each matrix. For
+            "float16", a matrix with too large an entry is divided by a power of two.
     """
     number = {"int16": _int16, "float16": _float16}[to]
     return LinearLaw(number(law.A), number(law.B), number(law.C), number(law.D), law.sample_period)

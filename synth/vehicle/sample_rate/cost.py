@@ -1,8 +1,8 @@
 """Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. From one tested period to the next, the phase of no mode of the vehicle or of the law advances by more than 0.1 rad,
-unless the mode has decayed. The limit is then found by bisection between the last stable and the first unstable period.
+rate. From one tested period to the next, no mode of vehicle or law turns by more than 0.1 rad, unless the mode has decayed.
+The limit is then found by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -29,7 +29,7 @@ from synth.vehicle.designer import SharedDesignData
 SHORTEST = 1e-5  # shortest sample period that is tested [s], at 100 kHz
 TURN = 0.1  # largest angle by which the phase of a mode may advance from one tested period to the next [rad]
 TIME_CONSTANTS = 25.0  # number of time constants after which a mode counts as decayed (to e^-25)
-CLOSE = 1e-12  # the bisection ends if the relative difference of two periods is smaller
+CLOSE = 1e-12  # the bisection ends if the relative difference of two periods is smaller than this
 
 
 def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:

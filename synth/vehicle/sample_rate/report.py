@@ -20,7 +20,7 @@ from synth.controller.report import LOWER_BOUND, NORM, NORM_AS_IMPLEMENTED, PROO
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
 LITTLE = 1e-2  # a rate counts as cheap if the relative increase of the norm is at most this value
-SAME = 5e-9  # a norm counts as equal to the continuous norm if their relative difference is smaller
+SAME = 5e-9  # a norm counts as equal to the continuous norm if their relative difference is smaller than this
 FEW = 2  # with at most this many controllers, each has its own table; more tables would not fit a terminal
 Kind = Callable[[AtRate], SampledNorm | None]  # function that selects one of the norms at a rate
 KINDS: dict[str, Kind] = {

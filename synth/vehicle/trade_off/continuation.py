@@ -23,7 +23,7 @@ GROWTH = 5.0  # largest gain entry if no bound limits the gain, as a multiple of
 # at an end, the norm of an axis may exceed its smallest value by this relative amount, which may reduce the other norms
 NEARLY = 1e-3
 TIGHTER = 1e-7  # relative amount by which this limit is tightened, to allow for rounding
-SETTLED_STEP = 1e-7  # a descent ends if the predicted relative decrease is smaller
+SETTLED_STEP = 1e-7  # a descent ends if the predicted relative decrease is smaller than this
 ROUNDS = 60  # largest number of rounds of a descent
 TIMES = 6  # largest number of descents to an end; each starts where the previous descent ended
 NOTHING = 1e-9  # a value of an axis below this multiple of its other values counts as zero
@@ -56,7 +56,7 @@ class FrontContinuation:
 
         Args:
             search: search with bounds, structure and starts; its goal is not used.
-            axes: for each axis, landscapes; the largest of their norms is the value of the axis.
+            axes: landscapes of each axis; the largest of their norms is the value of the axis.
             starts: starting gains, each of shape (m, q).
 
         Raises:

@@ -8,9 +8,9 @@ in the ellipse
 
     a^2 v_i^2 + b^2 v_j^2 < g^2.
 
-The bounds for many weights together give a curve. If the bound comes from a direction of z that no control force can change at
-some frequency of a band, it also holds for a norm in this band. The weights are powers of two, so that the numbers of the plant
-are not rounded. The proofs, which are exact, then apply to the plant itself.
+The bounds for many weights together give a curve. The bound also holds for the norm in a band if, at a frequency of the band,
+no control force can change a direction of z. The weights are powers of two, so that the numbers of the plant are not rounded.
+The proofs, which are exact, then apply to the plant itself.
 """
 
 import contextlib

@@ -161,7 +161,7 @@ def _gain(point: Point) -> str:
 WIDER = 0.06  # margin of a panel around the points, relative to their range
 # distance from the front, relative to the range of the front, beyond which other controllers are listed instead of drawn
 BESIDE = 1.5
-SAME = 0.005  # controllers share one mark if their distance, relative to the range of a panel, is smaller
+SAME = 0.005  # controllers share one mark if their distance, relative to the range of a panel, is smaller than this
 FINE = 400  # number of points of the curve in each direction
 DESIGNS, LINE, MEASURED = BLUE, BLACK, VERMILLION
 
