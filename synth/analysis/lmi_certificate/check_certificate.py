@@ -107,7 +107,7 @@ class ExactLoop:
         return bound > 0 and V.positive(True) and (a <= 0 < t1 or (f > 0 and a * b <= f * f))
 
     def invariant_point(self, bound, frequency, r):
-        """Returns True if r* [A - s I, B; C, D] = 0, r = [q; p], s on the axis: for any u, p* z = r* [Bw; Dw] w."""
+        """Returns True if r* [A - s I, B; C, D] = 0 for r = [q; p], s on the axis. Then p* z = r* [Bw; Dw] w for any u."""
         p, t, q = self.p, frequency, r @ self.E
         s, turn = ((1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)) if p["sampled"] else (0, t)
         left = r @ (p["A"] | p["C"]) + Matrix([[-s, -turn], [turn, -s]]) @ q
