@@ -21,12 +21,7 @@ from synth.plant.augmented import append
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-<<<<<<< HEAD
-# A norm counts as equal to the inverse size of its errors below this relative difference
-EQUALITY_TOLERANCE = 1e-9
-=======
 EQUALITY_TOLERANCE = 1e-9  # a norm counts as equal to the inverse size of its errors below this relative difference
->>>>>>> p4
 STARTS, ITERATIONS = 12, 80
 SLOW, FAST = 1e-4, 1e4  # frequencies, relative to the poles, that replace 0 and infinity, where an error has no phase
 BEYOND = (
