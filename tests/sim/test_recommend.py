@@ -384,7 +384,7 @@ def test_interrupted_while_runs_are_driven(van):
     task = dataclasses.replace(van, effort=0.02, timestep=4e-3)
 
     def stop(text: str) -> None:
-        if "driven" in text:
+        if "simulated" in text:
             threading.Timer(0.3, lambda: signal.raise_signal(signal.SIGINT)).start()
 
     first, second = (recommendation(task, stop) for _ in range(2))
