@@ -17,14 +17,14 @@ AXLES = rigid_body.AXLES
 SIDES = ("left", "right")
 CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in SIDES)
 
-# Modes of four wheels (front left, front right, rear left, rear right). Signs are the same as for the body: positive is nose
-# down and right side down.
+# Modes of four wheels (front left, front right, rear left, rear right). The signs are those of the body's motion: nose down and
+# right side down are positive.
 MODES = {
     "heave": np.array([1.0, 1.0, 1.0, 1.0]) / 4,
     "pitch": np.array([-1.0, -1.0, 1.0, 1.0]) / 4,
     "roll": np.array([1.0, -1.0, 1.0, -1.0]) / 4,
 }
-TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # warp of four wheels on axles of equal track width
+TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # warp of four wheels if both axles have the same track width
 
 
 PARAMETERS = (

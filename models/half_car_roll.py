@@ -58,7 +58,7 @@ def _body(p: Parameters) -> RigidBody:
 
 def check(p: Parameters) -> None:
     """Raises InputError if the parameters do not describe a possible body."""
-    # In published models of this type, `track` is often the distance of the springs, far inside the wheels.
+    # Many published models of this type use `track` for the distance between the springs, which lie far inside the wheels.
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], 2 * p["track"], "doubled track")
     if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
         raise InputError(

@@ -68,20 +68,20 @@ def linear_model(p: Parameters) -> LinearModel:
             [-k_s / m_s, 0, -c_s / m_s, c_s / m_s],
             [k_s / m_u, -k_u / m_u, c_s / m_u, -c_s / m_u],
         ]
-    )  # (31)
-    B = np.array([[0], [0], [1 / m_s], [-1 / m_u]])  # (32)
-    Bw = np.array([[0.0], [-1.0], [0.0], [0.0]])  # (32)
+    )  # the matrix A of equation (31)
+    B = np.array([[0], [0], [1 / m_s], [-1 / m_u]])  # the matrix B of equation (32)
+    Bw = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the matrix Bw of equation (32)
     Bt = np.array([[0.0], [0.0], [0.0], [c_u / m_u]])
     if c_u:
         A[3, 3] -= c_u / m_u
         Bw = Bw + Bt
 
-    # The rows are the four states, z_s'' from the first equation of (28), the input u, and z_u'' from the second equation.
-    # Heights are sums of deflections and the road height.
+    # The rows of C are the four states, z_s'' from the first equation of (28), the input u, and z_u'' from the second equation
+    # of (28). The last two rows are heights, which are sums of deflections and the road height.
     C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3], [1, 1, 0, 0], [0, 1, 0, 0]])
     D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3], np.zeros((2, 1))])
 
-    # A vertical force on the body acts in the first equation of (28), as u does, but not on the wheel.
+    # A vertical force on the body acts in the first equation of (28) in the same way as u, but does not act on the wheel.
     Bl = np.array([[0], [0], [1 / m_s], [0]])
     Dl = np.vstack([np.zeros((4, 1)), Bl[2], [[0]], Bl[3], np.zeros((2, 1))])
 

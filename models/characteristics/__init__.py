@@ -1,8 +1,8 @@
 """Measured characteristics: forces over velocity and deflection, motion ratios over travel, and their tables in files."""
 
-STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of bump stops
-STOP = "stop"  # other name of `stop_stiffness`, for tables and files
+STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of vehicle files for bump stops
+STOP = "stop"  # the key `stop_stiffness` under its other name, which tables and files use
 STOP_NAMES = (*STOP_KEYS, STOP)
-RATIO = "ratio"  # heading of the column with a motion ratio over travel
-LEAVES = 0.1  # a characteristic leaves its linearisation at this deviation, relative to its largest force
+RATIO = "ratio"  # heading of the column that gives a motion ratio as a function of travel
+LEAVES = 0.1  # a characteristic counts as nonlinear if it deviates from its linearisation by this share of its largest force
 SIDES = ("bump", "rebound")  # sides of bump stops: compression and extension of the suspension

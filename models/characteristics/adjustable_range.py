@@ -37,7 +37,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 
-TOUCHING_DISTANCE = 1e-9  # two characteristics touch if their distance is below this, relative to the largest force
+TOUCHING_DISTANCE = 1e-9  # two characteristics touch if their distance is below this share of the largest force
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
 
 
 KINDS = ("force", "damper")
-CURVE_KEYS = ("c_min", "c_max")  # keys whose values may be tables
+CURVE_KEYS = ("c_min", "c_max")  # keys of an adjustable damper whose values may be tables
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest
 from models.common.arrays import Array
 from models.common.errors import InputError
 
-STRAIGHT = 1e-12  # smaller differences between slopes, relative to the steepest slope, are rounding errors
+STRAIGHT = 1e-12  # slopes that differ by less than this share of the steepest slope count as equal, because of rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Pieces:
 
     def force(self, x: Array) -> Array:
         """Returns the sum of the segments at given arguments [N], shape (...)."""
-        # This code runs in each stage of a time step. NumPy's `clip` and `sum` take twice as long.
+        # This code runs in each stage of a time step, so it is fast: NumPy's `clip` and `sum` would take twice as long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
 
     def __getitem__(self, which: Array | slice) -> "Pieces":
@@ -190,7 +190,7 @@ class ForceCurve:
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]
-            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # an argument far outside any range of motion
+            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # this argument lies far outside any range of motion
             x = np.append(self.x[points], side * beyond)
             apart = self.pieces.force(x)
             hit = np.flatnonzero(np.abs(apart) >= limit)

@@ -32,16 +32,16 @@ from models.common.units import QUANTITY, unit_size
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"
 ARGUMENTS = ("velocity", "deflection")
-# Words in headings of quantities that are positive in extension
+# Words by which a heading names a velocity or a deflection that is positive in extension
 SIGN_HEADINGS = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}
-ROLES = {  # words in headings, by quantity
+ROLES = {  # words by which a heading names each quantity
     "force": {"force", "load", "kraft", "effort"},
     "velocity": {*SIGN_HEADINGS["velocity"], "speed"} - {"v"},
     "deflection": {"deflection", "displacement"},
     "time": {"time", "t", "timestamp", "zeit", "temps"},
 }
-LOG = ("time", "deflection", "force")  # columns of a dynamometer log, from which the velocity is computed
-GAS = 0.02  # smaller forces at velocity 0, relative to the largest force, are not caused by gas
+LOG = ("time", "deflection", "force")  # columns of a dynamometer log from which the velocity can be computed
+GAS = 0.02  # a force at velocity 0 counts as gas force only if it is above this share of the largest force
 BLOCK = re.compile(r"^\s*\[\s*([^\]]+?)\s*\]\s*$(.*?)(?=^\s*\[|\Z)", re.M | re.S)
 HEAD = re.compile(r"\{(.*?)\}")
 
@@ -162,7 +162,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     by_role: dict[str, list[Heading]] = defaultdict(list)
     for heading in headings:
         by_role[_role(heading)].append(heading)
-    for role in ROLES:  # a unit of another dimension excludes a column, for example the voltage of a force sensor
+    for role in ROLES:  # a column whose unit has another dimension is excluded, for example the voltage of a force sensor
         by_role[role] = [one for one in by_role[role] if unit_size(one.unit, QUANTITIES[role].si)] or by_role[role]
     wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
     known, forces = by_role[wanted], by_role["force"]
@@ -219,14 +219,14 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
             x, force, said = loop
             notes += [*about, said]
     order = np.argsort(x, kind="stable")
-    # In a part of a loop, neither argument nor force is monotonic
+    # A table that contains a part of a loop is monotonic neither in its argument nor in its force
     if (np.diff(x) <= 0).all() or (np.diff(force[order]) >= 0).all():
         x, force = x[order], force[order]
     different = np.append(True, (np.diff(x) != 0) | (np.diff(force) != 0))
     x, force = x[different], force[different]
     if over == "compression":
         wanted, x, force = over, -x[::-1], -force[::-1]
-    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist()} | _note(notes)  # + 0.0 avoids -0.0
+    return {wanted: (x + 0.0).tolist(), "force": (force + 0.0).tolist()} | _note(notes)  # adding 0.0 turns -0.0 into 0.0
 
 
 def _note(remarks: Sequence[str]) -> dict[str, str]:
@@ -286,7 +286,8 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
         raise InputError("has a speed below 0; give speeds of 0 or more, with the forces in compression and in rebound")
     order = np.argsort(speed, kind="stable")
     v, *forces = (one[order] for one in (speed, compression, rebound))
-    pushing, pulling = (np.sign(one.sum()) * one for one in forces)  # data sheets use both signs
+    # Some data sheets give compression forces as negative numbers, others as positive numbers
+    pushing, pulling = (np.sign(one.sum()) * one for one in forces)
     gas = np.where(v == 0, np.abs(pushing - pulling) > GAS * pulling.max(), np.minimum(pushing, pulling) < 0)
     for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
@@ -301,14 +302,14 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
 def _dpr_columns(text: str) -> str:
     """Returns the table of a damper property file with headings, and the number of each row's line in the file."""
     text = re.sub(r"[$!].*", "", text)
-    # Number of lines before each block
+    # Number of lines of text before each block
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}
     blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
             raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
     units = {key.upper(): unit.strip() for key, unit in re.findall(r"""(\w+)\s*=\s*['"]?([^'"\n]+)""", blocks["UNITS"])}
-    if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units may also be in a table
+    if below := re.search(r"\{(.*?)\}\s*(.*)", blocks["UNITS"]):  # the units may also be written as a table
         units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
     for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time")):
         if unit_size(units.get(key, ""), QUANTITIES[name].si) is None:

@@ -10,7 +10,8 @@ import numpy as np
 
 from models.common.arrays import Array
 
-# Limit of four standard deviations, relative to the third quartile of the deviations in `slopes_at_rest`, for normal noise
+# Factor that converts the third quartile of the deviations in `slopes_at_rest` to a limit of four standard deviations, if the
+# noise is normally distributed
 NOISE = 4 / 2.4
 
 
@@ -36,7 +37,7 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
     """Returns the last point to which a straight line stays within the allowed error at all points in between."""
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
-    # Every point in between limits the slope of a line from above and below.
+    # Every point between the two ends limits the slope of the line from above and from below.
     steepest = np.minimum.accumulate((rise + error) / run)
     flattest = np.maximum.accumulate((rise - error) / run)
     slope = rise / run

@@ -12,15 +12,15 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import rough
 
-CYCLES = 10  # number of cycles at the end of a log that are used
-STROKE = 0.5  # smaller strokes, relative to the range of displacement, do not end a cycle
-# Cut-off frequency of the filter relative to the frequency of the cycles, and order of the filter's polynomials
+CYCLES = 10  # a log is evaluated over this number of cycles at its end
+STROKE = 0.5  # a stroke that is shorter than this share of the displacement's range does not end a cycle
+# Cut-off frequency of the smoothing filter, relative to the frequency of the cycles, and degree of the filter's polynomials
 HARMONICS, ORDER = 12.0, 3
-LEAST_SIDE = 3  # smallest number of samples on both sides of the filter's centre
+LEAST_SIDE = 3  # the smoothing filter uses at least this number of samples on each side of its centre
 NEARLY = 0.05  # a cycle counts as full if at most this share of it is missing
-SAMPLES = 25.0  # smallest number of samples per cycle
-GAP = 10.0  # longest step relative to the mean step
-LEAST_CORRELATION = 0.05  # smallest correlation of force and velocity
+SAMPLES = 25.0  # a cycle must have at least this number of samples
+GAP = 10.0  # longest allowed time between two samples, relative to the mean time between samples
+LEAST_CORRELATION = 0.05  # smallest allowed correlation between force and velocity
 
 
 def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:

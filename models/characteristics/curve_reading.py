@@ -17,9 +17,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, ListedValues, Section, Text, read
 
-FRICTION_ERROR = 0.02  # largest error of the straight segments, relative to the friction force
-FRICTION_ENDS = 3.0  # velocity relative to v0 above which the friction is constant
-# Points of the smooth function, some of which become ends of segments; the error between two points is 1e-5
+FRICTION_ERROR = 0.02  # largest error of the straight segments that replace the friction force, relative to this force
+FRICTION_ENDS = 3.0  # above this velocity, relative to the velocity v0 of the friction, the friction force is constant
+# Number of points that represent the smooth friction function. Some of these points become ends of straight segments; between
+# two points, the error is 1e-5
 FRICTION_POINTS = 601
 
 
@@ -43,20 +44,23 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     return velocity * v, force * smooth
 
 
-MOST_POINTS = 20_000  # points of a table
-# Most segments of a characteristic without friction; each is a MuJoCo actuator that adds 2 % to the time of a quarter-car's
-# step
+MOST_POINTS = 20_000  # largest number of points of a table
+# Largest number of segments of a characteristic without friction. Each segment is a MuJoCo actuator, and makes a time step of a
+# quarter-car 2 % slower
 MOST_LINES = 24
-AT_REST = 2  # number of additional segments in an approximation, which keep the table's slopes at 0
-# Allowed errors of an approximation, relative to the largest force, for a table with more segments than `MOST_LINES`. The first
-# error that gives few enough segments is used.
+AT_REST = 2  # an approximation has this number of additional segments, which keep the slopes of the table at argument 0
+# Errors that are allowed when a table with more than `MOST_LINES` segments is approximated, relative to the largest force. The
+# first of these errors that gives few enough segments is used.
 ERRORS = (0.005, 0.01, 0.02)
-ROUNDING = 1e-9  # relative to a range
-CLOSEST = 1e-9  # smallest distance between points, relative to the range; closer points would be dominated by rounding errors
-# Smallest range of the argument [m or m/s] and smallest force [N]; smaller values are probably mistakes
+ROUNDING = 1e-9  # rounding error relative to a range
+# Smallest distance between two points, relative to the range; at smaller distances, rounding errors would dominate
+CLOSEST = 1e-9
+# Smallest range of a table's argument [m or m/s] and smallest force [N]; a table with smaller values is probably a mistake
 SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6
-LEAST_PULL = 0.01  # smallest load relative to a spring's largest pull; if a table carries less, its signs are probably reversed
-MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # largest slope [N/m or N s/m]; largest error relative to the largest force
+# If a spring's table carries less than this share of the static load, the signs of the table are probably reversed
+LEAST_PULL = 0.01
+# Largest slope of a characteristic [N/m or N s/m]; largest error of an approximation relative to the largest force
+MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05
 FRICTION = ("friction", "friction_velocity")
 ALONE = "is not allowed: a position-dependent damper cannot be combined with friction or other elements; give it alone"
 
@@ -223,7 +227,7 @@ def read_curves(
 
     Args:
         section: the section `[curves]`.
-        parameters: parameters that a characteristic can replace, each with the argument of the characteristic.
+        parameters: parameters that a characteristic can replace, each with the variable on which the characteristic depends.
         load: function that returns the static load of a spring [N] for the name of its parameter; None if it is unknown.
 
     Raises:
@@ -259,7 +263,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
             tables.append(read(where, DamperTable if over is VELOCITY else SpringTable, one))
         else:
             slopes.append(SI(over.slope, low=0.0, high=MOST_SLOPE).number(f"{where} a slope", one))
-    # The table with `preload = true` comes last, because it carries the part of the load that the other tables do not carry
+    # The table with `preload = true` is read last, because it carries the rest of the load, which the other tables do not carry
     tables.sort(key=lambda one: one.preload is True)
     with error_in(f"{where}:"):
         return _sum(slopes, tables, over, load)

@@ -16,11 +16,11 @@ from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import rough
 
-# Texts in the note about a loop; the second text is only for dampers
+# Texts of the note about a measured loop; the second text is used only for dampers
 LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
-TURN = 0.1  # smaller reversals, relative to the range, are noise
-OVERLAP = 0.5  # branches that overlap less than this, relative to the range, are not a loop
-BINS = 200  # number of bins in each branch
+TURN = 0.1  # a reversal of direction that is smaller than this share of the range counts as noise
+OVERLAP = 0.5  # two branches that overlap by less than this share of the range do not form a loop
+BINS = 200  # number of intervals over which each branch of a loop is averaged
 ROUNDING = 1e-9  # rounding error, relative to the largest force
 
 

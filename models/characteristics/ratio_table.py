@@ -19,10 +19,12 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, read
 
-TRIALS = 12  # iterations of the search for a deflection; for a constant ratio, one iteration is exact
-FARTHEST, HALVINGS = 1.0, 60  # range of the search for an equilibrium [m], and number of bisections
-COLUMNS = 41  # columns of a position-dependent damper; the error between columns is r' / 8 times the square of their distance
-PLACES = 9  # deflections of table points are rounded to this number of decimal places [m]
+TRIALS = 12  # number of iterations in the search for a deflection; with a constant motion ratio, one iteration is exact
+FARTHEST, HALVINGS = 1.0, 60  # range in which the equilibrium deflection is searched [m], and number of bisections
+# Number of deflections in the table of a position-dependent damper; between two deflections, the error is the slope of the
+# motion ratio, divided by 8, times the square of their distance
+COLUMNS = 41
+PLACES = 9  # the deflections of a table's points are rounded to this number of decimal places [m]
 
 
 @dataclass(frozen=True, eq=False)

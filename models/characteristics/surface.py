@@ -17,7 +17,7 @@ import numpy as np
 from models.characteristics.curve import STRAIGHT, ForceCurve, slope_at_rest
 from models.common.arrays import Array
 
-# Number of points for the mean over normally distributed deflections, and half of their range in standard deviations
+# Number of points for the mean over normally distributed deflections, and half the range of these points in standard deviations
 NODES, WIDTH = 400, 6.0
 
 
@@ -44,7 +44,7 @@ class ForceSurface(ForceCurve):
         r = constant.take(j) + steep.take(j) * deflection
         u = r * velocity
         i = self.velocities.searchsorted(u)
-        # `take` is faster than indexing with two indices
+        # NumPy's `take` is faster than indexing an array with two indices
         a, b, c, e = self.cells.reshape(4, -1).take(i * len(constant) + j, axis=1)
         return r * (a + b * u + (c + e * u) * deflection)
 
@@ -80,7 +80,7 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def is_nonlinear(self) -> bool:
-        v = self.velocities[:, None] / self.ratio  # velocity of the suspension at all points of the table
+        v = self.velocities[:, None] / self.ratio  # suspension velocities at the points of the table
         return bool((np.abs(self.beyond(v, self.deflections)) > STRAIGHT * self.range).any())
 
     @property
@@ -97,8 +97,8 @@ class ForceSurface(ForceCurve):
         """Coefficients a, b, c and e of every cell, including the cells beyond the table, shape (4, n + 1, k + 1)."""
         u, d, slope = self.velocities, self.deflections, np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]
         slope = np.vstack([slope[:1], slope, slope[-1:]])
-        first = np.concatenate([[0], np.arange(len(u))])  # index of the point relative to which each row of cells is defined
-        # Values of a + c d and b + e d at the deflections d
+        first = np.concatenate([[0], np.arange(len(u))])  # each row of cells is linear about the point with this index
+        # Sums a + c d and b + e d of the coefficients of each cell, at the deflections d of the table
         ends = np.stack([self.table[first] - slope * u[first, None], slope])
         return np.concatenate(_lines(d, ends))
 

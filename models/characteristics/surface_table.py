@@ -18,10 +18,11 @@ from models.common.table import NumberTable, find_table
 from models.common.units import unit_named, unit_size
 
 NAMES = ("velocity", "deflection", "force")
-QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # pattern of a quantity with its unit
+# Pattern of a quantity that is followed by its unit
+QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-# Largest number of cells in the grid of velocities and deflections, per row of a list. If more cells are missing, the list is
-# not a table of this type
+# A list is a table of this type only if its grid (velocities times deflections) has at most this many cells for each row of the
+# list; otherwise, too many cells would be empty
 PAIRS_PER_ROW = 4
 
 
@@ -72,7 +73,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force
     d = -d if directions["deflection"] < 0 else d
     i, j = np.argsort(v, kind="stable"), np.argsort(d, kind="stable")
-    # + 0.0 avoids -0.0
+    # adding 0.0 turns -0.0 into 0.0
     return {name: (x + 0.0).tolist() for name, x in zip(NAMES, (v[i], d[j], force[np.ix_(i, j)]), strict=True)}
 
 

@@ -57,7 +57,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         raise InputError(f"{name} is not a matrix of numbers ({error}); give rows of the same length") from None
     if given.ndim != 2:
         raise InputError(f"{name} has shape {given.shape}; expected a matrix{expected and f' of shape {expected}'}")
-    if max(given.shape) > MOST:  # checked before the matrix is copied
+    if max(given.shape) > MOST:  # the size is checked before the matrix is copied
         raise InputError(f"{name} has shape {given.shape}; no more than {MOST} rows or columns are allowed: reduce the model")
     if np.iscomplexobj(given):
         if np.any(np.imag(given)):
@@ -88,7 +88,7 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
         start: initial state, shape (n,) or (..., n); None for 0.
     """
     *runs, samples, n = forcing.shape
-    if start is not None:  # a forcing before the first sample takes the state from 0 to `start`
+    if start is not None:  # one additional forcing before the first sample moves the state from 0 to `start`
         first = np.broadcast_to(start, (*runs, 1, n))
         return recursion(Phi, np.concatenate([first, forcing], axis=-2))[..., 1:, :]
     length = math.isqrt(samples) + 1
@@ -96,7 +96,7 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
     padded = np.zeros((*runs, stretches * length, n))
     padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
     states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run reports this
+    with np.errstate(over="ignore", invalid="ignore"):  # the numbers of an unstable loop may overflow, which the run reports
         for k in range(1, length):
             states[..., k, :] += states[..., k - 1, :] @ transposed
         powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))

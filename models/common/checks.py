@@ -25,7 +25,7 @@ from models.common.files import path_from
 from models.common.units import in_unit
 
 F = TypeVar("F", bound=Callable[..., Any])
-HERE = "\N{WHITE SQUARE}"  # placeholder for the name of the value in messages of a `models.common.schema.Key`
+HERE = "\N{WHITE SQUARE}"  # placeholder that a `models.common.schema.Key` replaces in its messages by the name of the value
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Must:
     holds: Callable[[Any], bool]
     unit: str = ""
 
-    def __repr__(self) -> str:  # `help` shows this text; it would show the condition itself as an address
+    def __repr__(self) -> str:  # `help` shows this text; without it, `help` would show the memory address of the condition
         return repr(self.words.lstrip(", "))
 
 
@@ -159,7 +159,7 @@ def accept_former_names(**names: str) -> Callable[[F], F]:
 
     def decorate(one: F) -> F:
         if not isinstance(one, type):
-            one.former_names = names  # `check_arguments` uses this attribute
+            one.former_names = names  # the function `check_arguments` reads this attribute
             return one
         init = one.__init__
 
@@ -186,7 +186,7 @@ class ReadOnly(dict[str, Any]):
 
     __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refused  # pyright: ignore
 
-    # The method of `dict` would set items while copying or unpickling
+    # The `__reduce__` of `dict` would set items while an object is copied or unpickled
     def __reduce__(self) -> tuple[type["ReadOnly"], tuple[dict[str, Any]]]:
         return ReadOnly, (dict(self),)
 
@@ -261,7 +261,7 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
 
 def _obviously(value: Any, annotation: Any) -> bool:
     """Returns True for a text, number or truth value that fits without further checks, as most fields of a linear model do."""
-    # The comparison excludes NaN, which is not equal to itself
+    # A comparison of a number with itself is False only for NaN
     return type(value) is annotation and annotation in PLAIN and value == value
 
 
@@ -301,5 +301,5 @@ def _words(annotation: Any) -> str:
         fixed = outer is tuple and inner[-1] is not ...
         every = f"a list in which each item is {_words(inner[0])}"
         return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else every
-    # A type that is not public has a class attribute `public_name`, which explains how to get such a value.
+    # If a type is not public, its class attribute `public_name` tells the user how to get such a value.
     return vars(outer).get("public_name", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")

@@ -23,10 +23,10 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import IO, Any
 
-Answers = Callable[[Iterator[Any]], Iterator[Any]]  # generator function of a module: yields an answer for each message
-# Environment that limits BLAS to one thread, because additional threads would only wait
+Answers = Callable[[Iterator[Any]], Iterator[Any]]  # generator function of a module that yields one answer for each message
+# Environment variables that limit BLAS to one thread, because additional threads would only wait
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
-GRACE = 0.5  # time for a child to finish after its parent has ended or closed the pipe [s]
+GRACE = 0.5  # time [s] that a child process has to finish after its parent has ended or has closed the pipe
 
 
 class EndedError(Exception):
@@ -49,7 +49,7 @@ class Child:
             [sys.executable, "-c", code],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C then reaches only the parent
+            start_new_session=True,  # with this setting, Ctrl-C reaches only the parent process
             env=ONE_THREAD | os.environ,
         )
         _running_processes.add(process)
@@ -72,7 +72,7 @@ class Child:
         """Sends a message, which must be picklable."""
         written = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         assert self._process.stdin is not None, "it is a pipe"
-        with suppress(OSError, ValueError):  # the child has ended; `receive` will notice it
+        with suppress(OSError, ValueError):  # the child process has ended, which `receive` will notice
             self._process.stdin.write(written)
             self._process.stdin.flush()
 
@@ -88,9 +88,10 @@ class Child:
             Exception: the answer is an exception.
         """
         try:
-            # The remaining time is limited to 0, because it may already be negative
+            # The remaining time may be negative, so it is limited to 0
             answer = self._answers.get(timeout=None if longest is None else max(0.0, longest))
-        # This includes KeyboardInterrupt. Otherwise, the pending answer would be taken for the answer to the next message
+        # Every exception ends the child, even KeyboardInterrupt. Otherwise, the pending answer would be taken for the answer to
+        # the next message
         except BaseException as error:
             self.end()
             raise (TimeoutError if isinstance(error, queue.Empty) else error) from None
@@ -103,7 +104,8 @@ class Child:
         return answer
 
 
-_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # the running processes of all children
+# Child processes that are running at present
+_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()
 
 
 def kill_children() -> None:
@@ -127,7 +129,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
         process.stdin.close()
     try:
         process.wait(2 * GRACE)
-    except subprocess.TimeoutExpired:  # the code of the child does not let `_listen` run
+    except subprocess.TimeoutExpired:  # the code in the child process does not let the thread `_listen` run
         process.kill()
         process.wait()
 
@@ -140,7 +142,7 @@ def serve() -> None:
         os.dup2(empty.fileno(), 0)
         os.dup2(2, 1)
     if not sys.warnoptions:
-        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's warnings are ignored, as in commands
+        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's warnings are ignored here, as in commands
     sys.stdout, messages = sys.stderr, queue.SimpleQueue[Any]()
     threading.Thread(target=_listen, args=(requests, messages), daemon=True).start()
     function: Answers = messages.get()
@@ -149,7 +151,7 @@ def serve() -> None:
             answers.write(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
             answers.flush()
     except Exception as error:
-        with suppress(OSError):  # the parent has ended
+        with suppress(OSError):  # the parent process has ended
             answers.write(pickle.dumps(error))
             answers.flush()
 

@@ -7,13 +7,13 @@ with a one-line message.
 import os
 import sys
 
-TYPE_CHECKING = False  # the import of `typing` takes some milliseconds
+TYPE_CHECKING = False  # the import of `typing` would take some milliseconds
 if TYPE_CHECKING:
     from types import FrameType
     from typing import NoReturn
 
 INTERRUPT_EXIT_CODE = 130
-# Number of new objects that starts a garbage collection (Python's default is 700); imports alone create about 50 000 permanent
+# Number of new objects after which Python collects garbage (by default 700); imports alone create about 50 000 permanent
 # objects
 GARBAGE = 100_000
 # No command renders with MuJoCo. Without this setting, MuJoCo would start a second Python process to look for GLFW. A second BLAS
@@ -36,7 +36,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
         os.environ.setdefault(name, value)
     import signal
 
-    received = list[int]()  # numbers of the received signals
+    received = list[int]()  # numbers of the signals that were received
 
     def interrupt(number: int, frame: "FrameType | None") -> None:
         received.append(number)
@@ -53,18 +53,19 @@ def run(command: str, *arguments: str) -> "NoReturn":
         gc.set_threshold(GARBAGE)
         sys.unraisablehook = _unraisable
         if not sys.warnoptions:
-            # NumPy's warnings are not shown, because the command prints its own message about overflows
+            # NumPy's warnings are not shown, because the command itself prints a message about overflows
             warnings.simplefilter("ignore", RuntimeWarning)
         if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
-            reconfigure(errors="backslashreplace")  # names may contain letters that the terminal cannot show
+            reconfigure(errors="backslashreplace")  # names may contain letters that the terminal cannot display
         code = importlib.import_module(command).main(*arguments)
-        importlib.import_module("models.common.printed").show("")  # an empty text ends the thread that counts seconds
+        importlib.import_module("models.common.printed").show("")  # an empty text ends the thread that counts the seconds
         if sys.stdout:  # `sys.stdout` is None if stdout is closed, for example by `>&-`
             sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:
         code = _exit_code(command, error, bool(received))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command has finished, so interrupts are ignored
-    # CPython remembers an interrupt inside `exec`, which dataclasses use, and would still end the process by the signal
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # interrupts are ignored from here on, because the command has finished
+    # If an interrupt arrives inside `exec`, which dataclasses use, CPython remembers it, and would still end the process by the
+    # signal
     exec("")
     sys.exit(code)
 
@@ -79,7 +80,7 @@ def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
     import _thread
     import threading
 
-    threading.Timer(0.01, _thread.interrupt_main).start()  # an immediate interrupt would end this hook
+    threading.Timer(0.01, _thread.interrupt_main).start()  # if an interrupt acted immediately, it would end this hook
 
 
 def _exit_code(command: str, error: BaseException, interrupted: bool) -> int:
@@ -89,7 +90,7 @@ def _exit_code(command: str, error: BaseException, interrupted: bool) -> int:
 
     if TRACEBACK in sys.argv and isinstance(error, Exception):
         raise error
-    # The reader has closed the pipe, as `| head` does; Python would try to write again at exit
+    # The reader has closed the pipe, as in `roadproof ... | head`. Python would try to write the rest again at exit
     if isinstance(error, BrokenPipeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0

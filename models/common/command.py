@@ -23,7 +23,7 @@ def versions() -> dict[str, str]:
     return dict(_versions())
 
 
-@functools.cache  # reading the metadata takes 20 ms, and the metadata do not change while a process runs
+@functools.cache  # the metadata are cached, because reading them takes 20 ms, and they do not change while a process runs
 def _versions() -> dict[str, str]:
     import platform
     from importlib import metadata
@@ -32,12 +32,12 @@ def _versions() -> dict[str, str]:
     for package in PACKAGES:
         try:
             versions_by_name[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:  # the program runs from a checkout that was never installed
+        except metadata.PackageNotFoundError:  # the program runs from a checkout of the source that was never installed
             versions_by_name[package] = "not installed"
     return versions_by_name
 
 
-ALL = "all"  # word that selects all controllers, instead of a controller's name
+ALL = "all"  # a user writes this word instead of a controller's name to select all controllers
 
 
 class Parser(argparse.ArgumentParser):
@@ -46,7 +46,8 @@ class Parser(argparse.ArgumentParser):
     The parser refuses options with an empty value, and repeated options unless they are declared as repeatable.
     """
 
-    by_verb = False  # True if the command was called as `roadproof VERB`; help and errors then use this form
+    # True if the program was called as `roadproof VERB`; help and error messages then show the command in this form
+    by_verb = False
 
     def __init__(self, prog: str, description: str, epilog: str, page: str = "") -> None:
         self.module = prog
@@ -58,7 +59,8 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
-        # This pattern recognises -1e-3 and -inf as numbers, not options. argparse accepts exponents only from Python 3.14.
+        # With this pattern, argparse reads -1e-3 and -inf as numbers, not as options. Before Python 3.14, argparse does not
+        # accept exponents.
         self._negative_number_matcher = re.compile(r"-(\.?\d|(inf|infinity|nan)$)", re.IGNORECASE)
         self.register("type", None, _text)
         self.register("type", Path, _path)
@@ -89,7 +91,7 @@ class Parser(argparse.ArgumentParser):
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
-        # The option is unknown or has no value, so the values belong to the command itself
+        # The option is unknown or takes no value, so the values that follow are arguments of the command itself
         if action is None or action.nargs == 0:
             option, action = "", next(iter(self._get_positional_actions()), None)
         if action is None or len(values) < 2:
@@ -107,7 +109,7 @@ class Parser(argparse.ArgumentParser):
         """Returns the options, including the names of the given options (`given`) and the command line (`command_line`)."""
         args = sys.argv[1:] if args is None else args
         for argument in args:
-            if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would interpret "--" as the end of the options
+            if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would take "--" as the end of the options
                 self.error(f"argument {argument[:-3]}: '--' is not a value; give a value")
         _remarks.clear()
         start = namespace or argparse.Namespace()
@@ -343,11 +345,11 @@ class _Flag(argparse.Action):
 
 def complain(message: str) -> None:
     """Prints a message to stderr as one printable line."""
-    show("")  # an empty text clears the line of progress
+    show("")  # an empty text removes the line that shows the progress
     print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
-_remarks = list[str]()  # warnings of the running command about its vehicles and roads
+_remarks = list[str]()  # warnings about vehicles and roads that the running command has collected
 
 
 def print_remarks(given: Any) -> Any:
@@ -372,7 +374,7 @@ def _page(text: str) -> str:
 
     Examples are indented, and a long example continues after a backslash.
     """
-    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of a paragraph are joined
+    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of each paragraph are joined to one line
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 

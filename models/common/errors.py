@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-TRACEBACK = "--traceback"  # option of every command
-LONGEST = 1000  # most characters of a message; the longest list of allowed names has 700 characters
-LONGEST_VALUE = 60  # most characters of a value in a message
+TRACEBACK = "--traceback"  # option that every command has
+LONGEST = 1000  # largest number of characters of a message; the longest list of allowed names has 700 characters
+LONGEST_VALUE = 60  # largest number of characters of a value that a message quotes
 
 _shortly = reprlib.Repr()
 _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, LONGEST_VALUE, LONGEST_VALUE, LONGEST_VALUE

@@ -55,7 +55,7 @@ _STANDARD = "sim.studies.ride.kinds.standard"
 _FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
 _RECOMMEND = "sim.studies.recommend.command"
 _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
-    "part": {  # classes, see `models.parts.part`
+    "part": {  # the values are classes, see `models.parts.part`
         "stop": "models.parts.stops.part:Stops",
         "spring": "models.parts.spring:SpringCurve",
         "damper": "models.parts.damper:DamperCurve",
@@ -70,7 +70,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "modified_bouc_wen": "models.parts.elements.modified_bouc_wen:ModifiedBoucWen",
         "dahl": "models.parts.elements.dahl:Dahl",
     },
-    "design method": {  # functions, see `synth.design.methods`
+    "design method": {  # the values are functions, see `synth.design.methods`
         "two_steps": "synth.design.two_step:two_steps",
         "state": "synth.design.two_step:state",
         "zero_l": "synth.design.two_step:zero_l",
@@ -158,7 +158,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "step response": "sim.studies.ride.step_response",
         "comparison with a measured log": "sim.studies.validity.measured_log",
     },
-    # Functions or classes that create a driver from the arguments (controllers, failures, numbers); see
+    # The values are functions or classes that create a driver from the arguments (controllers, failures, numbers); see
     # `sim.drive.drivers.registry`
     "driver": {
         "linear": "sim.drive.drivers.linear:LinearDriver",
@@ -167,14 +167,16 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "recorded": "sim.drive.drivers.recorded:RecordedDriver",
         "code": "sim.drive.drivers.code:CodeDriver",
     },
-    "observer": {  # classes that observe a batch of runs, see `sim.drive.drive.Observer`, or functions of a recording
+    # The values are classes that observe a batch of runs, see `sim.drive.drive.Observer`, or functions of a recording
+    "observer": {
         "energy": "sim.observers.energy:energy",
         "steps": "sim.observers.steps:compare_steps",
         "commands": "sim.observers.commands:compare_commands",
         "twin": "sim.observers.twin:Twin",
         "growth": "sim.observers.growth:Growth",
     },
-    # Classes; the name of a metric is its key in `--best` and in the table of controllers, whose columns have this order
+    # The values are classes. The name of a metric is its key in `--best` and in the table of controllers; the columns of this
+    # table have the order of the names here
     "metric": {
         "dive": f"{_STANDARD}:Dive",
         "squat": f"{_STANDARD}:Squat",
@@ -195,7 +197,9 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "energy": f"{_STANDARD}:ControlEnergy",
         "at_stops": f"{_STANDARD}:AtStops",
     },
-    "study": {  # class of the study; if the study is a command, also its purpose and its main options, see `sim.studies.study`
+    # The first value is the class of a study; for a study that is a command, its purpose and main options follow, see
+    # `sim.studies.study`
+    "study": {
         "designs": "sim.report.designs:DesignsStudy",
         "sweep": (f"{_FREQUENCY}:SweepStudy", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
         "response": "sim.report.agreement:ResponseStudy",
@@ -222,6 +226,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         ),
     },
 }
-_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # the default of `over_runs`: a metric is not combined over runs
+_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # by default, `over_runs` does not combine a metric over runs
 EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
 PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

@@ -24,7 +24,7 @@ from models.common.errors import InputError
 
 UNQUOTED_QUANTITY = re.compile(
     r"[=\[,] *([+-]?[\d.]+(?:[eE][+-]?\d+)? *(?![eE][+-]?\d)[A-Za-z%][^,}\]#]*)"
-)  # pattern of a number with a unit, without quotes
+)  # pattern of a number with a unit that is written without quotes
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -53,9 +53,10 @@ def path_from(file: str | Path, folder: Path = Path()) -> Path:
     return folder / os.path.expanduser(file)
 
 
-# Output to this path is written to the open stream, because the shell has already opened the file behind it
+# Output to this path is written to the open stream, because the shell has already opened the target of the stream
 STDOUT = Path("/dev/stdout")
-# Inside a block of `together`: the complete files that are not yet renamed, and their targets. Otherwise None.
+# Inside a block of `together`: files that are written completely but not yet renamed, each with its target path. Elsewhere:
+# None.
 _waiting_files: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)
 
 
@@ -159,7 +160,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
             path.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
-        with suppress(OSError):  # `rmdir` keeps a folder that is not empty
+        with suppress(OSError):  # `rmdir` does not remove a folder that contains other files
             for folder in missing:
                 folder.rmdir()
         raise

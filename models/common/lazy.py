@@ -10,7 +10,7 @@ import sys
 import types
 from pathlib import Path
 
-TYPE_CHECKING = False  # the import of `typing` takes some milliseconds
+TYPE_CHECKING = False  # the import of `typing` would take some milliseconds
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
@@ -43,7 +43,8 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
             from models.common.checks import check_arguments
 
             value = check_arguments(value)
-        setattr(sys.modules[package], name, value)  # later accesses find this attribute and do not call `get`
+        # Later accesses find this attribute, so that Python does not call `get` again
+        setattr(sys.modules[package], name, value)
         return value
 
     return get, lambda: sorted(where), sorted(where)

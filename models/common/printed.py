@@ -21,10 +21,11 @@ NORM_DIGITS = ".7g"  # format of a norm, a bound on a norm, or a level
 digits = f"{{:{NORM_DIGITS}}}".format
 entry = "{:.6g}".format  # format of an entry of a gain or of a control law
 rough = "{:.4g}".format  # format of a pole, a rate, a time or a slope
-brief = "{:.3g}".format  # a number for comparison
-about = "{:.2g}".format  # an estimate
-magnitude = "{:.0e}".format  # a rounding error
-exactly = "{:.10g}".format  # format of a value in a claim that does not hold; the true value may differ only slightly from it
+brief = "{:.3g}".format  # format of a number that is compared with others
+about = "{:.2g}".format  # format of an estimate
+magnitude = "{:.0e}".format  # format of a rounding error
+# Format of a value whose claim does not hold; the true value may differ from the claimed value only slightly
+exactly = "{:.10g}".format
 
 
 def finite(value: Any) -> float | None:
@@ -93,10 +94,10 @@ def pasted_path(path: Path) -> str:
     return shell_line([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
-WIDEST = 79  # a longer line would wrap, and could not be overwritten
+WIDEST = 79  # a longer line would wrap to the next line, and could then not be overwritten
 
 
-LONG_STAGE = 3.0  # time after which a line of progress also shows the elapsed time [s]
+LONG_STAGE = 3.0  # a line of progress shows the elapsed time after this time [s]
 _overwritten, _printing = threading.Event(), threading.Lock()
 
 
@@ -157,7 +158,7 @@ class Stages:
 
 
 WIDTH = 80
-GAP = "  "  # between columns
+GAP = "  "  # space between two columns
 GLUE = "\N{NO-BREAK SPACE}"
 
 
@@ -178,8 +179,9 @@ def fit_lines(lines: Iterable[str]) -> list[str]:
     return [part for line in lines for part in (wrap_text(line) if len(line) > WIDTH else [line])]
 
 
-LINES = 24  # height of a terminal
-FEW = 3  # controllers with separate statements; with more, the output would not fit into a terminal
+LINES = 24  # number of lines that a terminal shows
+# Up to this number of controllers, each controller has its own statements; with more, the output would not fit into a terminal
+FEW = 3
 
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:

@@ -46,13 +46,14 @@ QUANTITIES: Mapping[str, Quantity] = {
     "force": Quantity(FORCE, "against extension"),
 }
 UNREAD = "another quantity"
-_WORDS: Mapping[str, str] = {  # names of quantities that no reader uses, and words that do not name a quantity
+_WORDS: Mapping[str, str] = {  # quantities that no reader uses, and words in headings that do not name a quantity
     UNREAD: "speed v acceleration lat latitude lon longitude iri slope width n no number index id",
     "": "wheel wheelpath path track road surface ground along the of in side vertical gps gnss point above sea level",
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
-DIRECTIONS: Mapping[str, int] = {  # words of a heading that determine its sign: 1 in extension, -1 in compression
+# Words of a heading that tell its sign: 1 for positive in extension, -1 for positive in compression
+DIRECTIONS: Mapping[str, int] = {
     word: sign
     for sign, words in (
         (-1, "compression comp bump bound jounce druck druckkraft druckstufe einfederung einfederweg"),
@@ -61,7 +62,8 @@ DIRECTIONS: Mapping[str, int] = {  # words of a heading that determine its sign:
     for word in words.split()
 }
 CORNERS = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
-CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # other names of corners, as in files of test rigs
+# Other names of the vehicle's corners, as in the files of test rigs
+CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}
 BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
 
@@ -86,7 +88,7 @@ class Heading:
         """Quantity of the column, a key of `QUANTITIES`; empty if a word is unknown, or if none or several are named."""
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
-            named.discard("height")  # "left height" means the same as "left"
+            named.discard("height")  # a heading "left height" means the same as "height left"
         return named.pop() if len(named) == 1 and named != {"unknown"} else ""
 
     @property
@@ -120,7 +122,7 @@ class Heading:
         if not given and self.unit and size is None:
             raise InputError(f"{column} has the unit {short_repr(self.unit)} ({allowed}); convert the column{instead}")
         if not (given or self.unit or default):
-            name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # this form can also be the name of a MATLAB variable
+            name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # a heading in this form can also be the name of a MATLAB variable
             raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}] or {name}{instead}")
         return units[given or default] if given or size is None else size
 
@@ -139,10 +141,11 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     if bracket := BRACKETS.search(text):
         is_unit = any(unit_size(bracket[1], quantity.si) for quantity in QUANTITIES.values())
         if Heading(name=bracket[1]).quantity in QUANTITIES and not is_unit:
-            return Heading(text, text, "", column)  # the brackets do not contain a unit, as in "height (left)"
+            return Heading(text, text, "", column)  # the brackets contain no unit, as in "height (left)"
         return Heading(text, text[: bracket.start()], _unit_of(bracket[1], units), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
-        written = text[gap.end() :].replace("_", "/")  # MATLAB's velocity_mm_s
+        # The underscore replaces / in names of MATLAB variables such as velocity_mm_s
+        written = text[gap.end() :].replace("_", "/")
         if any(unit_size(_unit_of(written, units), unit) for unit in units):
             return Heading(text, text[: gap.start()], _unit_of(written, units), column)
     return Heading(text, text, "", column)

@@ -24,12 +24,13 @@ from models.common.checks import HERE, is_finite
 from models.common.errors import InputError, alike, error_in, list_names, number_range, short_repr
 from models.common.units import in_unit, setting
 
-SMALLEST, LARGEST = 1e-6, 1e12  # limits in SI units; larger or smaller numbers in a file are probably mistakes
-# JSON schemas
+SMALLEST, LARGEST = 1e-6, 1e12  # limits of numbers in files [SI]; a larger or smaller number is probably a mistake
+# JSON schemas of the types
 TEXT, NUMBER, PAIR = {"type": "string"}, {"type": ["number", "string"]}, {"type": "array", "minItems": 2, "maxItems": 2}
-WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"  # pattern of a text that is a number with a unit
+# Pattern of a text that consists of a number and a unit
+WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"
 MOST_SEED = 2**63 - 1
-# `read` replaces this by section and key; ".NAME" after it is the name of a key inside the value
+# `read` replaces this placeholder by section and key; if ".NAME" follows, NAME is a key inside the value
 PLACES = re.compile(HERE + r"((?:\.\w+)*)")
 
 
@@ -390,7 +391,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         if name not in given and usual is MISSING:
             unit = f" [{key.unit}]" if key.unit else ""
             raise InputError(f"{where} {name} is missing; give {name}{unit}: {key.meaning}".lstrip())
-        if name in given and (given[name] is not None or usual is not None):  # a log contains null for values that are not given
+        if name in given and (given[name] is not None or usual is not None):  # in a log, a value that is not given is null
             with locate_errors(where, [name]):
                 values[name] = key.read(given[name], {**seen, **context})
         seen[name] = values.get(name, usual)

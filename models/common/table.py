@@ -30,20 +30,21 @@ from models.common.logs.recordings import MDF_SUFFIXES, mcap_rows, mdf_rows
 from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
 from models.common.units import unit_size
 
-# Separators of cells, the least ambiguous one first
+# Separators of cells, in the order in which they are tried: the least ambiguous separator is first
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}
 COMMENT = re.compile(r"\s*(#|%|!|//)")
-# Ambiguous number: between 1 and 1000 with a decimal comma, or an integer with a thousands separator
+# Pattern of an ambiguous number: a number between 1 and 1000 with a decimal comma, or an integer with a thousands separator
 THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
-# Pattern of a cell; a unit in brackets belongs to the preceding word
+# Pattern of a cell, in which a unit in brackets belongs to the preceding word
 SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
-LONGEST_UNIT = 3  # most characters of a word that counts as an unknown unit
-MOST_BYTES = 500 * 10**6  # largest size of a file; larger files would not fit into memory as text
-HALF_A_DAY = 43200.0  # time after which 12-hour clocks start again [s]
+LONGEST_UNIT = 3  # a word with at most this number of characters counts as an unknown unit
+MOST_BYTES = 500 * 10**6  # size of the largest file that is read; the text of a larger file would not fit into memory
+HALF_A_DAY = 43200.0  # 12-hour clocks start again after this time [s]
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
-MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in lower case
+# Texts, in lower case, that mean that a cell has no number
+MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ class NumberTable:
             InputError: headings are missing, are equal, or contain a number.
         """
         text = LINE_IN_QUOTES.sub(lambda cell: " ".join(cell[0].split()), "\n".join(self.lines[: self.first]))
-        above: dict[bool, list[list[Heading]]] = {True: [], False: []}  # the key is True for lines that are comments
+        # The lists of headings have the key True for lines that are comments
+        above: dict[bool, list[list[Heading]]] = {True: [], False: []}
         for line in text.split("\n"):
             comment = COMMENT.match(line)
             cells = self._heading_cells(line[comment.end() :] if comment else line)
@@ -295,7 +297,8 @@ def _parquet_rows(path: Path) -> list[Sequence[Any]]:
 def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
     """Returns names and columns of the vectors in a MATLAB file, or the rows of its only matrix."""
     arrays = {name: value for name, value in matlab_variables(content).items() if not name.startswith("__")}
-    while len(arrays) == 1 and (value := next(iter(arrays.values()))).dtype.names and value.shape == (1, 1):  # a struct
+    # The only variable is a struct
+    while len(arrays) == 1 and (value := next(iter(arrays.values()))).dtype.names and value.shape == (1, 1):
         arrays = {name: value[name][0, 0] for name in value.dtype.names}
     columns = {name: value for name, value in arrays.items() if value.dtype.kind in "fiu" and value.ndim == 2 and value.size > 1}
     vectors = {name: value.ravel() for name, value in columns.items() if 1 in value.shape}
@@ -316,7 +319,7 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
     try:
-        with warnings.catch_warnings(action="ignore"):  # SciPy warns if two objects have the same name
+        with warnings.catch_warnings(action="ignore"):  # SciPy would warn about two objects with the same name
             return loadmat(BytesIO(content))
     except NotImplementedError as error:
         raise InputError("it is of version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
@@ -343,7 +346,8 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         mark, cells = _split(line, separator)
         if column < len(cells) and _number(cells[column]) is not None:
             return NumberTable(lines, first, mark, len(cells), give)
-    # If no line has a number in this column, as with times of day, the table has most of the lines with the same column types.
+    # If no line has a number in this column, as with times of day, the table consists of the lines with the most frequent
+    # combination of numbers and texts.
     splits = [_split(line, separator) for line in lines]
     kinds = [(mark, tuple(_number(cell) is None for cell in cells)) for mark, cells in splits]
     for usual, _ in Counter(kind for kind in kinds if not all(kind[1])).most_common(1):

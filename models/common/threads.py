@@ -54,10 +54,11 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # number of pieces that are taken per thread: one is running, and one is waiting
+AHEAD = 2  # number of pieces of work that are taken for each thread: one piece runs, and one waits
 
 Result = TypeVar("Result")
-Piece = Callable[[Callable[[], bool]], Result]  # the argument of a piece returns True if the work is to be abandoned
+# A piece of work gets a function, which returns True if the work is to be abandoned
+Piece = Callable[[Callable[[], bool]], Result]
 
 
 def cores() -> int:
@@ -93,7 +94,7 @@ def side_by_side(
                     return
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
                     yield running.pop(done), done.result()
-        except BaseException:  # includes the case of a caller that stops early
+        except BaseException:  # also if the caller stops before the last result
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
             abandon()

@@ -49,7 +49,7 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
         changed = _replace_texts(text, replacements)
         if _normal(parse_toml(changed)) == _normal(expected):
             return changed
-    except Exception as error:  # tomlkit reads or writes the text incorrectly
+    except Exception as error:  # the text shows that tomlkit has read or written it incorrectly
         cause = error
     names = list_names(".".join(replacement.path) for replacement in replacements)
     raise InputError(f"{names} cannot be replaced in the file; write each key on its own line below its [section]") from cause
@@ -63,7 +63,7 @@ def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:
     for replacement in replacements:
         (body, i), (outer, line) = _place(document.body, replacement.path)
         place, written = body[i][1].trivia, {key: toml_value(value) for key, value in replacement.values.items()}
-        if outer is not body:  # for an inline table, the item of the first key contains the other keys
+        if outer is not body:  # the text of an inline table's first item also contains all other items
             name, *others = written
             written = {name: ", ".join([written[name], *(f"{_key(key)} = {written[key]}" for key in others)])}
         # tomlkit would take seconds to create the items of large matrices. A number whose text is the whole value takes almost

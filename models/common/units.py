@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
-from fractions import Fraction  # exact fractions, so that 35 mm is exactly 0.035 m without intermediate rounding
+from fractions import Fraction  # fractions are exact, so that 35 mm is exactly 0.035 m without intermediate rounding
 from typing import Any
 
 from models.common.errors import InputError, short_repr
@@ -13,7 +13,8 @@ TIME = {"s": 1.0, "ms": 1e-3}
 VELOCITY = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "ft/s": 0.3048}
 FORCE = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605}
 MOMENT = {"N m": 1.0, "kN m": 1e3}
-# Factors from units to SI units, by powers of kg, m, s, A and K. Angles are pure numbers, so a frequency of 1 Hz is 2 pi rad/s.
+# Factors that convert units to SI units, grouped by powers of kg, m, s, A and K. Angles are pure numbers, so 1 Hz is 2 pi
+# rad/s.
 SIZES: Mapping[tuple[int, ...], Mapping[str, float]] = {
     (1, 0, 0, 0, 0): {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
     (0, 1, 0, 0, 0): LENGTH,
@@ -30,7 +31,7 @@ SIZES: Mapping[tuple[int, ...], Mapping[str, float]] = {
     (0, 0, -1, 0, 0): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
     (0, 0, 0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
 }
-WORDS: Mapping[str, str] = {  # other names of units, in lower case
+WORDS: Mapping[str, str] = {  # other names of units, written in lower case
     **{f"{prefix}{word}": f"{short}m" for prefix, short in (("", ""), ("kilo", "k"), ("centi", "c"), ("milli", "m"))
        for word in ("metre", "metres", "meter", "meters")},
     **{word: unit for unit, words in {
@@ -41,15 +42,15 @@ WORDS: Mapping[str, str] = {  # other names of units, in lower case
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip
-# The last two characters are the micro sign and the Greek letter mu
+# The last two prefixes are both "micro": the micro sign and the Greek letter mu
 PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}
-# Units with prefixes; the gram is not among them, because g is the acceleration
+# Units that may have a prefix. The gram is missing, because the letter g means the gravitational acceleration
 PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")
 COMMA = re.compile(r"\s*[+-]?\d*,\d")
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # pattern of a number with its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
-TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # products of units, as in N-s/m or kg.m2
+TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # the separator between two units of a product, as in N-s/m or kg.m2
 POUND = re.compile(r"\blbs?\b")
 
 
@@ -81,7 +82,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
         expected = "a pure number is expected; omit unit and quotes" if pure else f"a unit of {unit} is expected"
-        force = POUND.sub("lbf", written)  # in this table, a pound (lb) is a mass
+        force = POUND.sub("lbf", written)  # this table uses the pound (lb) as a unit of mass, not of force
         example = number if pure else f'"{number} {force}"' if unit_size(force, unit) else _example(unit)
         unknown = "unknown " * (size is None)
         raise InputError(f"{said} has the {unknown}unit {short_repr(written)}, but {expected}, as in {example}")
@@ -136,7 +137,8 @@ def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
     Every factor after a slash is a divisor, as in N/m s.
     """
     size, powers = Fraction(1), (0, 0, 0, 0, 0)
-    text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", TIMES.sub(" ", unit.translate(SIGNS)))  # as in N/(m/s)
+    # Parentheses enclose a unit in a denominator, as in N/(m/s)
+    text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", TIMES.sub(" ", unit.translate(SIGNS)))
     for i, part in enumerate(re.sub(r"[()]", "", text).split("/")):
         for factor in part.split():
             match = FACTOR.fullmatch(factor)

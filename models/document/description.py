@@ -42,7 +42,7 @@ def _curves(panel: Panel) -> list[str]:
         name, there = curve.name or curve.label, np.isfinite(curve.y) & np.isfinite(curve.x)
         if not name or not there.any():
             continue
-        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # + 0.0 avoids -0
+        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # adding 0.0 turns -0.0 into 0.0
         if curve.dash == "none":
             descriptions.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
         else:

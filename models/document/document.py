@@ -17,11 +17,12 @@ from models.document.field import Detail, Field, T, cells, titles
 if TYPE_CHECKING:
     from models.document.figure import Figure
 
-# State of a claim: there is no claim, it holds, it holds only up to some point, or it is wrong
+# State of a claim: nothing is claimed, the claim holds, it holds only up to some point, or it is wrong
 State = Literal["note", "holds", "ends", "fails"]
 STATES: tuple[State, ...] = ("note", "holds", "ends", "fails")
 LEVELS: tuple[Detail, ...] = ("brief", "normal", "full")
-NOTE = "note"  # heading of a last column with remarks; on a terminal, a remark that is too long follows below its row
+# Heading of the last column of a table if this column has remarks; on a terminal, a long remark follows below its row
+NOTE = "note"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from models.common.printed import cell, finite
 
 T = TypeVar("T")
 Of = TypeVar("Of", contravariant=True)
-# Detail that is shown even in brief output, by default, or only with -v (folded on a page)
+# Level of detail: shown even in brief output, shown by default, or shown only with -v (on a page: collapsed)
 Detail = Literal["brief", "normal", "full"]
 
 
@@ -165,7 +165,7 @@ def plain(value: Any) -> Any:
         return [plain(one) for one in value]
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
-    values = getattr(value, "tolist", None)  # arrays and NumPy numbers have the method `tolist`
+    values = getattr(value, "tolist", None)  # NumPy arrays and NumPy numbers have the method `tolist`
     return value if values is None else plain(values())
 
 

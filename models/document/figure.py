@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot", "longdash", "none"]
-# Markers: hollow circle, square, triangle, diamond, triangle and pentagon; crosses
+# Markers of curves: hollow circle, square, triangle, diamond, triangle and pentagon; then two crosses
 Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]
 
 
@@ -27,8 +27,8 @@ class Style(NamedTuple):
     marker: Marker
 
 
-# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can distinguish. The light colours
-# are darker here, for a contrast of 3 on white. The dash patterns are the same as in the paper.
+# Colours that colour-blind readers can distinguish, from M. Okabe and K. Ito (2008), Color Universal Design. The light colours
+# are darker here, so that their contrast on white is 3. The dash patterns are the same as in that publication.
 BLACK, BLUE, VERMILLION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"
 PURPLE, ORANGE, SKY, GREY = "#c471a0", "#bd8200", "#3d97cc", "#6e6e6e"
 STYLES: dict[str, Style] = {
@@ -38,7 +38,7 @@ STYLES: dict[str, Style] = {
     "II": Style(GREEN, "solid", "D"),
 }
 OTHERS = (PURPLE, ORANGE, SKY, GREY, BLUE, VERMILLION, GREEN)
-# Dash patterns; the next pattern is used when all colours are used
+# Dash patterns of curves; a figure with more curves than colours uses the next pattern
 DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")
 POINTS: tuple[Marker, ...] = ("v", "p", "D", "s", "^", "o")
 
@@ -129,8 +129,8 @@ class Classes:
         return entries
 
 
-ROOM = 0.04  # margin at both ends of an axis, relative to its range
-WIDE = 8  # a class has room for its name if its depth is at least this fraction of the map's width
+ROOM = 0.04  # margin at both ends of an axis, relative to the range of the axis
+WIDE = 8  # the name of a class fits into a map if the class is at least 1/WIDE of the map's width deep
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +264,7 @@ def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = float(joined.min()), float(joined.max())
     room = ROOM * (high - low)
-    if room <= 1e-9 * max(abs(low), abs(high)):  # there is only one value, or the values differ by rounding errors
+    if room <= 1e-9 * max(abs(low), abs(high)):  # all values are equal, except for rounding errors
         room = 0.1 * max(abs(low), abs(high)) or 1.0
     return low - room, high + room
 

@@ -7,7 +7,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.figure import BLUE, GREY, Curve, Dash, Figure, Panel
 
-POINTS = 400  # number of points over frequency
+POINTS = 400  # number of points of a curve over frequency
 
 
 def gain_figure(

@@ -8,10 +8,10 @@ from models.common.extensions import FEATURES
 from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
-SUFFIXES = (".png", ".svg", ".pdf")  # suffixes of pictures
-OPTIONS = {"report": "out", "vehicle": "out"}  # options whose name differs from the name of the output
+SUFFIXES = (".png", ".svg", ".pdf")  # suffixes of file names for pictures
+OPTIONS = {"report": "out", "vehicle": "out"}  # options of commands whose name differs from the name of the output
 FOLDERS = ("logs", "figures", "certificates")
-ENDINGS = {  # allowed suffixes for each output, and the reason
+ENDINGS = {  # suffixes that the file name of each output may have, and the reason
     "picture": (SUFFIXES, "this kind of picture cannot be written"),
     "report": ((".html", ".htm"), "a report is HTML"),
     "csv": ((".csv",), "a table is written as CSV"),
@@ -22,7 +22,7 @@ CHECKED_BY = "# checked by: python -m synth --check THIS_FILE"
 CAMPAIGN_SUM = "# SHA-256 of the campaign and the files that it names: "
 IDENTIFIED = "# 95 % intervals [SI] of roadproof identify"
 SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM, IDENTIFIED)  # every saved vehicle file contains one of these comments
-TEXTS = ("csv", "save")  # outputs that may go to standard output
+TEXTS = ("csv", "save")  # outputs that may be written to standard output
 OF_FIGURES = (*SUFFIXES, ".csv")
 
 
@@ -65,7 +65,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         if what == "picture":
             FEATURES.load("pictures").check_drawing()
         elif what == "figures" and path.is_dir():
-            for file in path.iterdir():  # the names of the figures are known only when they are drawn
+            for file in path.iterdir():  # the names of the figures are known only after the figures are drawn
                 if file.suffix.lower() in OF_FIGURES and identity(file) in read_files:
                     raise InputError(f"--figures {path} contains the input file {file.name}; give another folder")
 

@@ -28,8 +28,9 @@ STYLE = """<style>
 .roadproof .legend {list-style: none; padding: 0}
 .roadproof .legend .plot {width: 34px; height: 14px; vertical-align: middle; margin-right: 6px}
 </style>"""
-IN_NOTEBOOK = "\1"  # placeholder in front of the identifiers of a fragment
-BRIEF = 2  # number of statements shown before the first figure or table; further statements without a claim are folded
+IN_NOTEBOOK = "\1"  # placeholder that stands in front of each identifier of an HTML fragment
+# A page shows this number of statements before the first figure or table; further statements that claim nothing are collapsed
+BRIEF = 2
 
 
 VERDICTS: dict[State, str] = {
@@ -37,7 +38,7 @@ VERDICTS: dict[State, str] = {
     "ends": "no check fails, but not every claim holds throughout",
     "fails": "something FAILS",
 }
-MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}  # with these marks, colour is not the only sign of a state
+MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}  # these marks show a state without relying on colour alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,7 @@ def render(page: Page) -> str:
     """Returns the page as one HTML document."""
     names = [one.name for one in page.whole.figures]
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
-        # Otherwise, the second figure would show the panels of the first figure
+        # If two figures had the same name, the second figure would show the panels of the first figure
         raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")
     counts = Counter[str]()
 

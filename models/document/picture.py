@@ -23,14 +23,14 @@ from models.document.description import about
 from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Spans, legend
 from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrap_at_spaces
 
-FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
-# Size of a panel; size of a panel that is alone in a file; width of a panel with bars
+FONT, LINE, DPI = 13, 19, 130  # font size, height of a line of text, and resolution of picture files
+# Size of a panel; size of a panel that is the only one in a file; width of a panel with bars
 SIZE, WIDE, BARS = (400, 250), (600, 360), 260
-EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture and of a panel
-ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above; height of the bar; width of a line in a legend
-BOLD = 1.12  # width of bold letters relative to normal letters
-LONGEST = 24  # most letters of a name in a legend
-FAR = 1e6  # replaces the infinite end of a span
+EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture, and margins of a panel
+ROW, BAR, KEY = 42, 12, 34  # height of a bar with the name above it; height of the bar alone; length of a line in a legend
+BOLD = 1.12  # width of bold letters, relative to the width of normal letters
+LONGEST = 24  # largest number of letters of a name in a legend
+FAR = 1e6  # this number replaces an infinite end of a span
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -84,7 +84,8 @@ def _matplotlib() -> Any:
 def _settings() -> Iterator[None]:
     matplotlib = _matplotlib()
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
-        # Warnings are ignored: if the font lacks a letter, a box is drawn, and an axis without numbers stays empty.
+        # matplotlib's warnings are ignored: a letter that the font lacks is drawn as a box, and an axis without numbers stays
+        # empty.
         warnings.simplefilter("ignore", UserWarning)
         yield
 
@@ -226,7 +227,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
     width, height = size[0] - inner - RIGHT, size[1] - TOP - BOTTOM
     left, bottom = left + inner, top + TOP + height
     axis.set_position(sheet.box(left, top + TOP, width, height))
-    axis.set_axis_off()  # with the ticks of matplotlib, a panel would take twice as long
+    axis.set_axis_off()  # matplotlib's own ticks would double the time for drawing a panel
     sheet.lines([[(left, top + TOP), (left, bottom), (left + width, bottom), (left + width, top + TOP), (left, top + TOP)]], 0.35)
     grid, lines = panel.ground is None, []
     for share, name in zip(_places(axis, down, 1), names, strict=True):
@@ -345,8 +346,8 @@ def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, w
         sheet.write(left + width * (first + last) / 2, y, cut(name, width, FONT), ha="center")
 
 
-# SVG in a page: text stays text, and numbers have two decimals. Presentation attributes are used instead of styles, because the
-# page's security policy forbids inline styles. Identifiers that nothing refers to are removed.
+# In the SVG of a page, text stays text, and numbers have two decimals. The page's security policy forbids inline styles, so
+# presentation attributes are used instead. Identifiers that nothing refers to are removed.
 
 MARK = "\0"
 STYLE = re.compile(r' style="([^"]*)"')

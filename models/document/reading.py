@@ -18,15 +18,16 @@ from models.document.document import Pivot, Table
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
-UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # keeps a number on the same line as its unit
+# no-break space, which keeps a number on the same line as its unit
+UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED_SECONDS = re.compile(r"\b(m|rad)/s2\b")
-LONG = 28  # letters of a remark; a longer remark that occurs in several rows becomes a footnote
-BLANK = "\u2004"  # a space that is about as wide as a footnote mark
-DIGIT, POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a decimal point
-MANY = 10  # number of rows; a table with more rows is folded
-LONG_NAME = 16  # letters of a name; a line may break within longer names
-# A name ends at a space or at a punctuation mark other than - and _.
+LONG = 28  # largest number of letters of a remark in a row; a longer remark that several rows share becomes a footnote
+BLANK = "\u2004"  # a space that has about the width of a footnote mark
+DIGIT, POINT = "\u2007", "\u2008"  # a space that has the width of a digit, and a space that has the width of a decimal point
+MANY = 10  # a page collapses a table with more rows than this
+LONG_NAME = 16  # a line may break within a name that has more letters than this
+# A name ends at a space, or at any punctuation mark except - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
 

@@ -13,17 +13,18 @@ from html import escape
 
 from models.document.reading import drawn_text
 
-# Type ("spring", "damper", "adjustable damper", "force" or "box"), and symbol such as "k_s" (for a box: its name)
+# Type of a drawn part ("spring", "damper", "adjustable damper", "force" or "box"), and its symbol such as "k_s" (for a box: the
+# name of the box)
 Part = tuple[str, str]
 GREEK = {"phi": "φ", "theta": "θ"}
 SYMBOL = re.compile(r"([A-Za-z])(?:_(\w+))?")
-# Distances between parts of a strut and between struts, margin, and width of the computer
+# Distance between the parts of a strut, distance between struts, margin of the drawing, and width of the computer's box
 ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112
-AHEAD = 120  # additional length of a road that is not flat
-# Vertical positions of body, hub, road and lower margin, increasing downwards
+AHEAD = 120  # the drawing is longer by this length if the road is not flat
+# Vertical positions of body, hub and road, and height of the lower margin; positions increase downwards
 BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60
-LETTERS = 9  # number of letters for which a box between body and wheel has room
-SEAT, ABOVE = (-62, -36), 66  # vertical positions of a seat's mass, and additional height of a drawing with a seat
+LETTERS = 9  # largest number of letters that fit into a box between body and wheel
+SEAT, ABOVE = (-62, -36), 66  # vertical positions of the mass of a seat, and height that a seat adds to the drawing
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,12 @@ from models.common.extensions import FEATURES
 from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fit_lines, table, wrap_text
 from models.document.document import NOTE, Block, Detail, Document, Statement, Table, is_shown, notes
 
-HANG = 6  # spaces before a remark below its row
-HEADING = 3  # largest number of lines in a heading
-LONG = 10  # tables with more rows are long; their columns move closer together before a heading gets a third line
-CHANGE = " change [%]"  # end of a heading if the column contains the changes of the numbers in the preceding column
-BEST = "*"  # mark after the best number of a column
+HANG = 6  # spaces at the beginning of a remark that is printed below its row
+HEADING = 3  # largest number of lines of a column heading
+# A table with more rows than this counts as long; its columns move closer together before a heading gets a third line
+LONG = 10
+CHANGE = " change [%]"  # end of the heading of a column that shows the changes of the numbers in the preceding column
+BEST = "*"  # this mark follows the best number of a column
 
 
 def names_text(names: Iterable[str]) -> str:
@@ -153,7 +154,7 @@ class ShownResult:
         page = FEATURES.load("pages")
         try:
             page.check_page()
-        except InputError:  # if the HTML cannot be created, the notebook shows the text
+        except InputError:  # a notebook shows this text if the HTML cannot be created
             return None
         document = self.summary
         return page.fragment(replace(document, blocks=(*document.blocks, *self.figures)))

@@ -102,7 +102,7 @@ class Car:
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-        """Returns the loads that links and wheel inertia add to the moment of a force on the body, by name [N, N m].
+        """Returns, by name, the loads [N, N m] of links and wheel inertia that add to the moment of a force on the body.
 
         For the arguments, see `links.carried_loads`.
         """

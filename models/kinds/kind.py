@@ -116,25 +116,26 @@ def is_number(value: Any) -> bool:
     return is_finite(value) and abs(value) <= LARGEST
 
 
-HERE = Path(__file__).parent.parent  # folder of the built-in vehicle types
-GRAVITY = 9.81  # gravitational acceleration [m/s2], which is written into every MJCF
-MOST_SQUEEZE = 0.25  # largest allowed static tyre deflection [m]; real tyres have smaller deflections
-# Smallest height of a hub above the road in equilibrium [m]. This height is larger than MOST_SQUEEZE, because a tyre deflection
-# may exceed MOST_SQUEEZE before a time step ends.
+HERE = Path(__file__).parent.parent  # folder that contains the built-in vehicle types
+GRAVITY = 9.81  # gravitational acceleration [m/s2], which every generated MJCF contains
+MOST_SQUEEZE = 0.25  # largest allowed static deflection of a tyre [m]; real tyres deflect less
+# Smallest height of a hub above the road in equilibrium [m]. This is more than MOST_SQUEEZE, because a tyre deflection may
+# exceed MOST_SQUEEZE before the time step ends.
 LOWEST_HUB = 0.26
-MOST_KEPT = 16  # number of linear models that a vehicle type caches, because a study uses the same vehicle many times
+MOST_KEPT = 16  # a vehicle type caches this number of linear models, because a study uses the same vehicle many times
 
 SEAT_POINTS = {
     "seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"
-}  # `lacking` of built-in vehicle types
-# Accelerations below this value, relative to the largest acceleration due to a force, are rounding errors
+}  # built-in vehicle types have this value of `lacking`
+# An acceleration below this value counts as a rounding error; the value is relative to the largest acceleration that a force
+# causes
 NEGLIGIBLE_ACCELERATION = 1e-12
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
 
 
-# The default functions of a vehicle type have names, because pickle cannot find functions without a name.
+# The default functions of a vehicle type have names, because pickle cannot find lambdas.
 def nowhere_else(p: Parameters) -> float:
     """Returns 0 m, for a wheel at the longitudinal position of the first wheel, or on the vehicle's centre line."""
     return 0.0
@@ -369,12 +370,12 @@ class VehicleKind(CheckedFields):
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
         if self.folder == HERE:
             return super().__reduce_ex__(protocol)
-        import cloudpickle  # the functions of a custom vehicle type are not in an importable module
+        import cloudpickle  # the functions of a custom vehicle type are not part of an importable module
 
         return _from_pickle, (cloudpickle.dumps({part.name: getattr(self, part.name) for part in fields(self)}),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "VehicleKind":
-        return self  # the object cannot change, so no copy is needed
+        return self  # this object is immutable, so no copy is needed
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
         """Returns the vehicle type with the named signals on demand after its other signals."""
@@ -414,7 +415,7 @@ class VehicleKind(CheckedFields):
     @cached_property
     def unnamed(self) -> tuple[str, ...]:
         """Names of the signals on demand that vehicles of this type do not have."""
-        # Comparing signals with a set is fast; comparing them one by one would take longer than compiling a model
+        # A comparison of sets is fast; comparing the signals one by one would take longer than compiling a model
         known = set(self.signals)
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 

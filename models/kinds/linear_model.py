@@ -246,7 +246,8 @@ class LinearModel:
         if not inertance.any():
             return self
         b = np.diag(inertance)
-        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)  # p per unit of x'
+        # Gains from the rates x' to the inerter forces p
+        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)
         moved: dict[str, Array] = {}
         for acting, direct in (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw")):
             pull = of_rates @ getattr(self, acting)

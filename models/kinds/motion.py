@@ -5,8 +5,8 @@ from typing import Protocol
 
 from models.common.arrays import Array
 
-# Function from suspension deflections [m] and their rates [m/s] to forces that pull the suspensions together [N], each of shape
-# (T, s).
+# Function that returns the forces that pull the suspensions together [N], given the suspension deflections [m] and their rates
+# [m/s]; each array has shape (T, s).
 Pulls = Callable[[Array, Array], Array]
 
 

@@ -49,10 +49,10 @@ class Rule:
     rank: int = 0
 
 
-# Largest plausible rms noise or resolution of a sensor, by unit
+# Largest plausible rms noise, or resolution, of a sensor with this unit
 MOST_ERROR = {"m": 0.05, "m/s": 1.0, "m/s2": 10.0, "rad": 0.1, "rad/s": 1.0}
 KG, STIFFNESS, DAMPING = "check that masses are in kg", "check that stiffness is in N/m", "check that the damping is in N s/m"
-# The quantities of a rule belong to the same place: a suspension, a pair of axles, a sensor or a road.
+# All quantities of one rule belong to the same place: a suspension, a pair of axles, a sensor or a road.
 RULES = (
     Rule("times high low", lambda times, *_: times > 50,
          "{high.name} is {times.rough} times {low.name}; are both in {low.unit}?", 1),
@@ -92,7 +92,8 @@ RULES = (
     Rule("speed", lambda speed: speed > 70, '{speed} is above 70 m/s; check that it is in m/s, or give "90 km/h", for example'),
     Rule("obstacle", lambda height: height > 0.5, "{obstacle} is above 0.5 m; check that it is in m"),
 )  # fmt: skip
-NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]  # names of the quantities of each rule, in the order of its arguments
+# Names of the quantities that each rule compares, in the order of the rule's arguments
+NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]
 
 
 def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
@@ -111,7 +112,7 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     return said
 
 
-CORNER = {  # quantities at a suspension: the beginning of the parameter's name, and the unit
+CORNER = {  # quantities of a suspension: how the name of the parameter begins, and the unit
     "spring": ("suspension_stiffness", "N/m"), "damper": ("suspension_damping", "N s/m"), "wheel": ("unsprung_mass", "kg"),
     "tyre": ("tyre_stiffness", "N/m"), "tyre_damper": ("tyre_damping", "N s/m"),
 }  # fmt: skip
@@ -138,7 +139,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
         if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
             (low, low_name), (high, high_name) = corners[0], corners[-1]
             yield _known_quantities(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
-    # Only one of several suspensions with the same parameters is checked
+    # If several suspensions have the same parameters, only one of them is checked
     firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()
     lines = [_of_elements(vehicle, deflection) for deflection in firsts]
     k, c = (

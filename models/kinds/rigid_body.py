@@ -59,7 +59,8 @@ from models.kinds.signals import (
 )
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
-# External loads on the body, one for each mode in q and in the same order. Each load acts along the MJCF joint of its mode.
+# External loads on the body: one for each mode, in the order of the modes in q. Each load acts along the MJCF joint of its
+# mode.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
     "centre_height",
@@ -68,7 +69,7 @@ CENTRE_HEIGHT = Parameter(
     usual=0.55,
 )
 AXLES = ("front", "rear")
-LONGEST = 50.0  # largest plausible distance between wheels [m]; larger values are probably in mm
+LONGEST = 50.0  # largest plausible distance between wheels [m]; a larger number is probably in mm
 
 
 def per_axle(
@@ -270,7 +271,7 @@ def linear_model(
         name: np.diag([getattr(corner, name) for corner in body.corners])
         for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness", "tyre_damping")
     }
-    # The rows of the identity matrix select parts of the state.
+    # Each row of the identity matrix selects one state; the rows are split into the parts of the state vector.
     d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
 
     E, N = np.linalg.pinv(P), np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
@@ -279,9 +280,9 @@ def linear_model(
         N = e * body.twist
     t = E @ Pt - N @ d
     d_dot = S @ q_dot - z_u_dot
-    f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # plus u
+    f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # suspension force without the actuator force u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
-    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # acceleration due to the weight of a leaning body
+    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # acceleration that the weight of a leaning body causes
 
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
     B = np.vstack([np.zeros((c + p, c)), lift, -push])
@@ -316,7 +317,7 @@ def linear_model(
     for direct, acting in ((Cr, Br), (Dl, Bl)):
         direct[first : first + k] = acting[c + p : c + p + k]
         direct[first + k + c : first + k + 2 * c] = S @ acting[c + p : c + p + k]
-    # Heights: q = S+ (d + t + z_r) of the body, d + t + z_r above the corners, t + z_r of the wheels.
+    # Heights above the datum: q = S+ (d + t + z_r) for the body, d + t + z_r above the corners, and t + z_r at the wheels.
     q, held = np.linalg.pinv(S)[:1], np.eye(c) - N
     over_datum = np.vstack([q @ (d + t), d + t, t])
     C, Cr = np.vstack([C, over_datum]), np.vstack([Cr, q @ held, held, held])
@@ -386,7 +387,8 @@ def check_stands(body: RigidBody) -> None:
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
     try:
-        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # angle per moment if all other modes are free to move
+        # Angle that a moment causes if all other modes are free to move
+        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)
     except np.linalg.LinAlgError:
         raise InputError("the body falls over: nothing holds its weight; add springs, or omit roll and pitch centres") from None
     for i, mode in enumerate(body.modes[1:], start=1):

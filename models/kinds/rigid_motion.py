@@ -51,11 +51,12 @@ from models.kinds.signals import Signal
 if TYPE_CHECKING:
     from models.kinds.motion import Pulls
 
-STRUT = 0.44  # length of every strut in equilibrium in the MJCF [m]; the linear model does not use this length
-SHORTEST = 0.1  # length of the shortest strut for which the equations are valid [m]
-MOST_TURNED, LEAST_UPRIGHT = 0.5, 0.5  # largest angle of the body [rad], and smallest cosine of a strut's inclination
-CLOSEST = 1e-15  # step size at which the search for the position of the body ends [m, rad]
-# Largest number of iterations of this search; each iteration multiplies the error by about the size of the angles
+STRUT = 0.44  # length of every strut in the equilibrium position of the MJCF [m]; the linear model does not use this length
+SHORTEST = 0.1  # the equations are valid only if every strut has at least this length [m]
+MOST_TURNED, LEAST_UPRIGHT = 0.5, 0.5  # largest angle of the body [rad], and smallest cosine of the inclination of a strut
+CLOSEST = 1e-15  # the search for the position of the body ends when its step is below this size [m, rad]
+# Largest number of iterations in the search for the position of the body; each iteration multiplies the error by about the size
+# of the angles
 MOST_TRIALS = 60
 
 
@@ -136,7 +137,7 @@ class RigidMotion:
             )
         for bar in self.body.bars:
             arms = self.body.arms(bar)
-            moment = bar.stiffness * (q[:, -1] - hubs @ arms)  # roll is the last mode
+            moment = bar.stiffness * (q[:, -1] - hubs @ arms)  # the last mode is roll
             on_body[:, -1] -= moment
             on_hubs = on_hubs + moment[:, None] * arms
         return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
@@ -152,7 +153,8 @@ class RigidMotion:
         turning = second.copy()
         columns, heights_now = [turning, hub_second], [q[:, :1], hubs]
         if k > 1:
-            # Heights of the centre of mass and of the points above the hubs: z - c - x sin theta + (y sin phi + s) cos theta.
+            # Heights of the centre of mass and of the mounting points above the hubs: z - c - x sin theta + (y sin phi + s) cos
+            # theta.
             x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
             sin, cos, side, turned, s = (np.reshape(one, (-1, 1)) for one in self.tilt(q))
             b, over = self.body.roll_arm or 0.0, side * y + s
@@ -260,7 +262,8 @@ class RigidMotion:
         if not self.body.has_axis:
             turns = [moment / own for moment, own in zip(moments, inertias, strict=True)]
             return np.stack([lift / mass - GRAVITY, *turns], axis=-1)
-        # Products of rates in the equation of heave: the rates of both coupling entries.
+        # Terms with products of rates in the heave equation: they come from the rates of change of both coupling entries of the
+        # mass matrix.
         lift = lift + mass * (s * cos * theta_dot - b * side * phi_dot * sin) * theta_dot
         lift = lift + mass * b * (turned * cos * phi_dot - side * sin * theta_dot) * phi_dot
         rows = list(zip(entries, moments, inertias, strict=True))
@@ -284,7 +287,7 @@ class RigidMotion:
             return d, v, np.broadcast_to(self.shape, (len(q), *self.shape.shape)), np.ones_like(d)
         x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
         sin, cos, side, turned, _ = (np.reshape(one, (-1, 1)) for one in self.tilt(q))
-        over = side * y  # R_x (x, y, 0) = (x, y cos, y sin)
+        over = side * y  # rolling by the angle phi turns the point (x, y, 0) into (x, y cos phi, y sin phi)
         along, across = x * cos + over * sin - x, y * turned - y
         rise = q[:, :1] - hubs - x * sin + over * cos
         height = STRUT + rise
@@ -295,7 +298,7 @@ class RigidMotion:
         if self.body.roll_inertia is not None:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
-        # For a strut with a small inclination, the difference of two lengths would lose digits, so another form is used.
+        # For a strut that is inclined only slightly, a difference of two lengths would lose digits, so another form is used.
         upright = height > 0
         far = length + np.where(upright, height, -height)
         d = np.where(upright, (along**2 + across**2) / far, length - height) + rise

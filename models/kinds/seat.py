@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from models.common.schema import SI, Section, keys
 from models.kinds.kind import Parameters
 
-JOINT = "seat"  # name of the seat's joint and body in the MJCF
+JOINT = "seat"  # name of the joint and of the body that represent the seat in the MJCF
 
 
 @dataclass(frozen=True)

@@ -42,17 +42,19 @@ if TYPE_CHECKING:
 
 SIGNALS = (SEAT_TRAVEL, SEAT_VELOCITY, SEAT_ACCELERATION)
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
-# Rates and accelerations of the body, in the order of `LOADS`
+# Rates and accelerations of the body that belong to the loads in `LOADS`, in the same order
 RATES = ((HEAVE_VELOCITY.name, SPRUNG_VELOCITY.name), (PITCH_RATE.name,), (ROLL_RATE.name,))
 TURNS = {"x": ("pitch_inertia", "does not pitch"), "y": ("roll_inertia", "does not roll")}
 POINT_INERTIA = 1e-12  # rotational inertia of the seat in the MJCF [kg m2]; MuJoCo requires a value above 0
-CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)  # half edge lengths of cushion and backrest in the drawing [m]
-SPRING = (0.2, 0.36)  # heights of the ends of the drawn spring above the mounting point [m]
-# Parts of the body that are drawn transparent, so that a seat is visible
+# Half the edge lengths of the drawn cushion and of the drawn backrest [m]
+CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)
+SPRING = (0.2, 0.36)  # heights at which the drawn spring ends, above the mounting point [m]
+# Parts of the body that are drawn transparent, so that they do not hide a seat
 GLASS = {"cabin": [0.55, 0.68, 0.78, 0.25], "roof": [0.16, 0.36, 0.62, 0.25]}
-# Values of mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE and mjOBJ_JOINT, because vehicle types do not import MuJoCo
+# Values of MuJoCo's constants mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE and mjOBJ_JOINT, because vehicle types do not import MuJoCo
 BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3
-SENSORS = {  # values of mjSENS_JOINTPOS, mjSENS_FRAMELINVEL and mjSENS_FRAMELINACC; type of object; measured direction
+# Values of MuJoCo's mjSENS_JOINTPOS, mjSENS_FRAMELINVEL and mjSENS_FRAMELINACC; type of the object; measured direction
+SENSORS = {
     SEAT_TRAVEL.name: (9, OF_JOINT, [1.0]),
     SEAT_VELOCITY.name: (31, SITE, [0.0, 0.0, 1.0]),
     SEAT_ACCELERATION.name: (33, SITE, [0.0, 0.0, 1.0]),
@@ -103,7 +105,7 @@ def seated_kind(kind: VehicleKind) -> VehicleKind:
         write_mjcf=partial(_write_mjcf, kind.write_mjcf),
         motion=kind.motion and partial(_motion, kind.motion),
         people=(SEAT_ACCELERATION.name,),
-        invariants=(),  # the invariants of the vehicle type hold only for vehicles without additional masses
+        invariants=(),  # the vehicle type's invariants are valid only for vehicles without additional masses
     )
 
 

@@ -140,7 +140,7 @@ class SeatedMotion:
         along = np.stack([turned * sin, -side, turned * cos], axis=-1)
         J = np.stack([*(by_each[mode] for mode in car.body.modes), along], axis=-1)
         h_dot = Y * roll_rate + turned * speed
-        # Second derivative of h without the terms with angular accelerations
+        # Second time derivative of the height h, without the terms that contain angular accelerations
         bent = -rise * roll_rate**2 - 2 * side * roll_rate * speed
         a = [
             -(x * cos + h * sin) * pitch_rate**2 + 2 * h_dot * cos * pitch_rate + bent * sin,

@@ -30,7 +30,7 @@ class Signal(CheckedFields):
         return _at(self, corner)
 
 
-@lru_cache(maxsize=256)  # checking the fields of all signals takes longer than the rest of a car's linear model
+@lru_cache(maxsize=256)  # a check of the fields of all signals would take longer than the rest of a car's linear model
 def _at(signal: Signal, corner: str) -> Signal:
     where = corner.replace("_", " ")
     return replace(
@@ -86,7 +86,7 @@ def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:
 
 
 OWN = "own"  # unit of a controller state; only the control law defines its meaning
-STATE_PREFIX = "controller_"  # prefix of controller states; no vehicle signal has this prefix
+STATE_PREFIX = "controller_"  # prefix of the names of controller states; no vehicle signal has this prefix
 
 
 def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:

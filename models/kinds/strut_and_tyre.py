@@ -21,11 +21,13 @@ from typing import Any
 
 from models.kinds.signals import TYRE_DEFLECTION
 
-STATIC_LOAD = "fitted_static_load_"  # prefix of the name of the actuator with the constant force; the name of its tendon follows
-TENDON, AFFINE = 3, 1  # values of mjTRN_TENDON and mjBIAS_AFFINE, because vehicle types do not import MuJoCo
+# Beginning of the name of the actuator that applies a constant force; the name of its tendon follows
+STATIC_LOAD = "fitted_static_load_"
+TENDON, AFFINE = 3, 1  # values of MuJoCo's constants mjTRN_TENDON and mjBIAS_AFFINE, because vehicle types do not import MuJoCo
 TYRE_DAMPING = "damping of a tyre between hub and road; a tyre without contact has no damping"
-DAMPER = "fitted_damped_"  # prefix of the name of the actuator of a tyre with damping; the name of its tendon follows
-MOST_FORCE = 1e9  # a force [N] larger than any tyre force, but smaller than the limit at which MuJoCo reports an error
+# Beginning of the name of the actuator that represents a tyre with damping; the name of its tendon follows
+DAMPER = "fitted_damped_"
+MOST_FORCE = 1e9  # this force [N] is larger than any tyre force, but smaller than the limit at which MuJoCo reports an error
 
 
 def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: float, length: float = 0.0) -> None:

@@ -23,7 +23,7 @@ from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, STATE_PREFIX
 from models.laws.user_code import compile_file, run_own
 
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
-ROAD = ("road_displacement", "road_velocity", "tyre_deflection")  # signals of a wheel
+ROAD = ("road_displacement", "road_velocity", "tyre_deflection")  # signals that every wheel has
 EQUATIONS = ("linear_model", "static_tyre_deflection", "angles", "write_mjcf")
 GIVE = "give the equations of the vehicle type as in docs/how-to/custom-vehicle-type.md"
 

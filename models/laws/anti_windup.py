@@ -18,8 +18,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 
-# If a pole of A - L C is outside the circle by more than SLACK, rounding errors have made L useless. The product of rate and T
-# must be at least SLACK.
+# A pole of A - L C that is outside the circle by more than SLACK shows that rounding errors have made L useless. The product of
+# the anti-windup rate and the sample period T must be at least SLACK.
 SLACK = 1e-6
 
 
@@ -76,7 +76,8 @@ def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
         F, G = triangle[one, one].T / circle, (C @ basis[:, one]).T
         inverse = np.linalg.inv(F)
         pushed = inverse @ G @ np.linalg.solve(dear, G.T) @ inverse.T
-        W = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(inverse, inverse), pushed.ravel()).reshape(F.shape)  # Lyapunov's
+        # W is the solution of a Lyapunov equation
+        W = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(inverse, inverse), pushed.ravel()).reshape(F.shape)
         XG = np.linalg.solve(W, G)
         dear = dear + G.T @ XG
         gain = gain + circle * basis[:, one] @ np.linalg.solve(dear, XG.T @ F).T

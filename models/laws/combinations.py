@@ -24,7 +24,7 @@ KINDS = {  # types of controllers; each section has exactly one of them
     "law": "`law` (Python), `fmu`",
     "semi_active": "`semi_active`",
 }
-DEMANDS = {  # options that are added to a type of controller
+DEMANDS = {  # options that can be added to a type of controller
     "stable": "`stable`",
     "fastest_pole": "`fastest_pole`",
     "anti_windup": "`anti_windup`",
@@ -38,9 +38,10 @@ DEMANDS = {  # options that are added to a type of controller
     "family": "`family`",
     "force": "`control_force`",
 }
-WEIGHTS = "weights"  # errors with weights in `tolerance`; they are not a requirement on a design, so the tables omit them
+# Weights of gain errors in `tolerance`; these errors are not a requirement on a design, so the tables omit them
+WEIGHTS = "weights"
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-# Columns of the first table in the documentation:
+# Columns of the first table in the documentation
 KEYS = ("stable", "fastest_pole", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")
 FLAGS = ("stable", "noise", "lag", "sampled", "study")
 
@@ -51,7 +52,7 @@ _DESIGNED_LAWS = f"full order pid {_OTHERS}"
 _GOALS = "goals tolerance family"
 _STUDIED_LAWS = f"steps {_DESIGNED_LAWS} semi_active"
 _NO_CLAIM = "such a law is used unchanged, and linear analysis does not apply to it"
-_REASONS = (  # a part or command, the parts that it cannot be combined with, and the reason
+_REASONS = (  # each entry: a key or command, what it cannot be combined with, and the reason
     (
         "stable",
         f"gain states steps {_OTHERS} {_GOALS}",
@@ -135,7 +136,8 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     if not parts and not goal_keys and not {"order", "design"} & section.keys():
         parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
-    of_law = filtered or "order" in parts  # in this case, `structure` describes the law, and is not a goal for a static gain
+    # `structure` then describes the given law; it is not a goal for the design of a static gain
+    of_law = filtered or "order" in parts
     if goals := [key for key in goal_keys if not (of_law and key == "structure")]:
         parts["goals"] = goals[0]
     parts |= {key: key for key in ("fastest_pole", "anti_windup", "family", "loads") if key in section}

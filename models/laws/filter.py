@@ -33,11 +33,11 @@ from models.common.errors import InputError, error_in, short_repr
 from models.common.schema import HERE, SI, Choice, ListedValues, Section
 from models.laws.linear import LinearLaw
 
-F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, constants of W_k
+F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # constants of the filter W_k [Hz]
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
-HORIZONTAL = 2.0  # frequency that replaces f3 and f4 in W_d [Hz]
+HORIZONTAL = 2.0  # the filter W_d has this frequency instead of f3 and f4 [Hz]
 
-Biquad = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, in descending powers of s
+Biquad = tuple[tuple[float, ...], tuple[float, ...]]  # coefficients of numerator and denominator, in descending powers of s
 
 
 def _limits() -> tuple[Biquad, Biquad]:
@@ -62,11 +62,13 @@ WEIGHTINGS: dict[str, tuple[Biquad, ...]] = {
 
 
 POLYNOMIALS = ("numerator", "denominator")
-MOST = 12  # largest degree of a polynomial; roots of higher degrees are sensitive to rounding errors
-# Range of a coefficient's magnitude; a polynomial of degree 12 with the fastest pole is still inside
+MOST = 12  # largest degree of a polynomial; the roots of polynomials with higher degrees are sensitive to rounding errors
+# Allowed range of the magnitude of a coefficient; a polynomial of degree 12 with the fastest allowed pole is still inside this
+# range
 SMALLEST, LARGEST = 1e-60, 1e60
-SLOWEST, FASTEST = 1e-6, 1e7  # range of a pole's magnitude [rad/s]; poles outside are irrelevant for roads and cars
-LEAST, MOST_GAIN = 1e-12, 1e12  # range of the peak gain; outside this range, rounding errors dominate
+# Allowed range of the magnitude of a pole [rad/s]; poles outside this range are irrelevant for roads and cars
+SLOWEST, FASTEST = 1e-6, 1e7
+LEAST, MOST_GAIN = 1e-12, 1e12  # allowed range of the peak gain of a filter; outside this range, rounding errors dominate
 
 
 @dataclass(frozen=True)

@@ -37,17 +37,17 @@ EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
 CORNER = "corner"
 PERFORMANCE = "performance"
-FORCE = "force"  # key of a tolerance for the forces of all actuators
+FORCE = "force"  # key of the table `tolerance` for gain errors of all actuators
 SMALLEST = 1e-9
 HIGHEST = 1e6  # largest frequency of a band [Hz], far above all dynamics of a vehicle
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
 EITHER = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-# Relative errors are limited, because a sensor with a relative error of 1 would carry no information
+# The relative gain error of a sensor is limited, because a sensor with a relative error of 1 would carry no information
 ERROR = SI("1", "", 0.0, 0.9, EITHER)
 COEFFICIENTS = ", or numerator and denominator as coefficients in descending powers of s"
-WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of an error that is equal at all frequencies
+WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of a gain error that is the same at all frequencies
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:

@@ -8,7 +8,7 @@ from models.common.errors import InputError
 
 T = TypeVar("T")
 DriverKey = tuple[str, *tuple[object, ...]]
-Design = Callable[[str], T]  # function that designs a linear controller with a given name
+Design = Callable[[str], T]  # type of a function that designs a linear controller with a given name
 
 
 class ControlLaw:
@@ -17,15 +17,15 @@ class ControlLaw:
     A controller also has the attributes `linear`, True if linear analysis applies, and `user_code`, True for a Python law.
     """
 
-    serial = False  # True if only one thread at a time can execute the law
-    acts = True  # False if the force is 0 for all measurements
+    serial = False  # True if the law can run in only one thread at a time
+    acts = True  # False if the law returns a force of 0 for all measurements
     growth = 0.0  # growth rate of the fastest growing state of a linear law, without feedback [1/s]
     has_anti_windup = False
-    preview = None  # force that depends on the road ahead, a `RoadPreview`
-    code: Any = None  # the `ExportedCode` that computes the outputs in runs
-    implemented = True  # False if the sampling, delay and rate limit of the vehicle file do not apply
-    false_claims: tuple[str, ...] = ()  # descriptions of the certificate's claims that are not true
-    specifications = ()  # specifications for which the law is designed or evaluated
+    preview = None  # `RoadPreview` of a law whose force also depends on the road ahead
+    code: Any = None  # the `ExportedCode` that computes the law's outputs in runs
+    implemented = True  # False if the law ignores the sampling, delay and rate limit of the vehicle file
+    false_claims: tuple[str, ...] = ()  # descriptions of claims of the certificate that are not true
+    specifications = ()  # specifications that the law is designed for or evaluated with
 
     @property
     def law_key(self) -> DriverKey:
@@ -68,8 +68,8 @@ class LawSource:
     """
 
     linear = True  # False if linear analysis does not apply to the law
-    sample_period: float | None = None  # sample period of a discrete-time law that is given, not designed [s]
-    title = "a linear law"  # type of the law with its article, and its file
+    sample_period: float | None = None  # sample period [s] of a law that is given in discrete time, not designed
+    title = "a linear law"  # type of the law with its article, and file that contains the law
 
     @property
     def path(self) -> Path | None:

@@ -26,7 +26,7 @@ from models.laws.goals import Goals, corner_rows
 from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
-ITS_GAINS = "designed gains: "  # beginning of the remark about a PI or PID law that is designed
+ITS_GAINS = "designed gains: "  # beginning of the remark about a PI or PID law that Roadproof designs
 ORDER = {"anyOf": [{"enum": [STATIC, FULL]}, {"type": "integer", "minimum": 0, "maximum": MOST_STATES}]}
 GAIN = {"type": ["number", "array"]}
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
@@ -138,12 +138,12 @@ class StructureSection(Goals):
             )
         if pid.filter is not None and not np.any(pid.kd):
             raise InputError("pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
-        K = np.zeros((m, 3 * m))  # gains on the outputs of the filters of all signals
+        K = np.zeros((m, 3 * m))  # gains that multiply the outputs of the PID filters of all signals
         for part, gains in enumerate((pid.kp, pid.ki, pid.kd)):
             K[range(m), range(part, 3 * m, 3)] = gains or 0.0
         law = side_by_side(pid_filter(PID, pid.filter or 1.0), m)
         C, D = K @ law.C, K @ law.D
-        # States without effect can be removed, because the states are independent of each other
+        # States that no output uses can be removed, because the states do not depend on each other
         kept = np.flatnonzero(np.any(C != 0, axis=0))
         return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
 

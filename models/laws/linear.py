@@ -14,14 +14,14 @@ from models.common.errors import InputError
 from models.common.printed import entry, rough
 from models.laws.law import LawSource
 
-FEWER = "of at most"  # part of the remark about a law with fewer states than the design allows
+FEWER = "of at most"  # part of the remark about a law that has fewer states than the design allows
 MATRICES = ("A", "B", "C", "D")
-ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key of one number of a law
-PREVIEW_MATRICES = ("A", "B", "H", "C")  # matrices of `models.laws.preview`
-MOST_STATES = 200  # largest number of states of a law; a typical controller has some dozens
-LARGEST = 1e15  # largest magnitude of an entry; for larger entries, rounding errors would dominate
+ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key that sets a single number of a law
+PREVIEW_MATRICES = ("A", "B", "H", "C")  # names of the matrices that `models.laws.preview` uses
+MOST_STATES = 200  # largest number of states of a control law; a typical law has some dozens
+LARGEST = 1e15  # largest magnitude of an entry of a law's matrices; with larger entries, rounding errors would dominate
 ROUNDING = 1e-7  # relative rounding error of the poles of a double integrator
-# Smallest relative singular value of an algebraic loop through the measurements; if it is smaller, no digit of the result is
+# Smallest relative singular value of an algebraic loop through the measurements; below this value, no digit of the result is
 # reliable
 SINGULAR = 1e-12
 

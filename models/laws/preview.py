@@ -22,8 +22,8 @@ from models.common.errors import InputError
 from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
 from models.laws.python_law import AHEAD, samples_ahead
 
-COMPARED_SAMPLES = 100  # number of samples at which two previews are compared
-MOST_PRODUCTS = 2e9  # largest number of products in a sum that is computed term by term; they take about 1 s
+COMPARED_SAMPLES = 100  # two previews are compared at this number of samples
+MOST_PRODUCTS = 2e9  # a sum with at most this number of products is computed term by term, which takes about 1 s
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ class RoadPreview:
         count, (k, r), m = self.samples(period), self.B.shape, len(self.C)
         if count == 1:
             return np.zeros((1, m, r))
-        # The exponential of this matrix contains the integrals of exp(A s) and exp(A s) s / period over a sample
+        # The exponential of the matrix `step` contains the integrals of exp(A s) and exp(A s) s / period over one sample period
         step = np.zeros((3 * k, 3 * k))
         step[:k, :k], step[:k, k : 2 * k], step[k : 2 * k, 2 * k :] = period * self.A, np.eye(k), np.eye(k)
         whole = linalg.expm(step)
-        # `fall` is the integral of exp(A s) (1 - s / period)
+        # `fall` is the integral of exp(A s) (1 - s / period) over one sample period
         level, fall = period * whole[:k, k : 2 * k], period * whole[:k, 2 * k :]
         rise = level - fall
         near, far = fall @ self.H - level @ self.B / period, rise @ self.H + level @ self.B / period

@@ -28,7 +28,7 @@ FMU = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu))")
 GIVE = 'give a file next to the vehicle file and a function in this file, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
 AHEAD = SI("s", "time for which a law in Python or a preview design knows the road ahead", 0.0, 60.0)
-TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annotation gives the delay of their outputs
+TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annotation of the FMU gives the delay of the outputs
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class PythonController(ControlLaw):
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
             if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
                 return int(computer.attrib["delay"])
-        return 0  # a file that is not an FMU is refused at the first step
+        return 0  # the first step reports an error if the file is not an FMU
 
     def preview_samples(self, period: float) -> int:
         """See `ControlLaw`."""
@@ -220,7 +220,8 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
     Raises:
         InputError: an attribute is not allowed.
     """
-    name = getattr(function, "__name__", type(function).__name__).strip("<>")  # the name of a lambda is "<lambda>"
+    # A function that was defined as a lambda has the name "<lambda>"
+    name = getattr(function, "__name__", type(function).__name__).strip("<>")
     preview, signals = getattr(function, "preview", None), getattr(function, "measured", measurable)
     measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
     for signal in measured:
@@ -230,7 +231,7 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
             )
     try:
         source = inspect.getsource(function)
-    except (OSError, TypeError):  # the function was typed at a prompt, or is an object
+    except (OSError, TypeError):  # the function was typed at a prompt, or it is an object
         source = ""
     ahead = None if preview is None else AHEAD.number(f"{name} preview", preview)
     return PythonController(name, measured, PythonLaw(name, ahead), source, function)

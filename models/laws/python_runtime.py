@@ -29,9 +29,9 @@ from models.common.errors import InputError, short_repr
 from models.laws.python_law import PythonController
 from models.laws.user_code import compile_file, reason
 
-LONGEST = 10.0  # time limit for the calls in one sample [s]; a typical law takes microseconds
-SLOWEST = 100.0  # time limit for all calls in a run, relative to its simulated time; `LONGEST` is added
-LONGEST_START = 60.0  # time limit for executing the file [s], which may import large packages
+LONGEST = 10.0  # time limit for the calls of a law in one sample [s]; a typical law takes microseconds
+SLOWEST = 100.0  # time limit for all calls of a law in a run, relative to the simulated time of the run; `LONGEST` is added
+LONGEST_START = 60.0  # time limit for executing a law's file [s], which may import large packages
 SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time"
 
 
@@ -146,7 +146,7 @@ class OwnLaw:
             forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
             raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N") from None
-        # For a single actuator, the result may be a number instead of an array
+        # For a single actuator, a law may return a number instead of an array
         scalar = shape[-1] == 1 and forces.shape == shape[:-1]
         if forces.shape != shape and not scalar:
             raise InputError(f"its force has shape {forces.shape}; expected {shape}, one number for each actuator")
@@ -159,7 +159,7 @@ class OwnLaw:
         try:
             return code()
         except BaseException as error:
-            # An exit or Ctrl-C in the caller's own process is passed on
+            # In the caller's own process, an exit or Ctrl-C is passed on
             if self._path is None and not isinstance(error, Exception):
                 raise
             if self._fmu and isinstance(error, InputError):
@@ -177,7 +177,7 @@ def anew(function: Any) -> Any:
         return function
     import cloudpickle  # unlike `copy`, cloudpickle can also copy functions
 
-    with suppress(Exception):  # objects that the function refers to may raise any error when they are copied
+    with suppress(Exception):  # objects that the function refers to may raise any error while they are copied
         return cloudpickle.loads(cloudpickle.dumps(function))
     return function
 
@@ -289,14 +289,14 @@ class FileRuns:
         raise self._error
 
 
-# Child processes that no run uses at present, by the process that started them; a forked process must not use the children of
-# its parent
+# Child processes that no run uses at present, grouped by the process that started them; a forked process must not use the
+# children of its parent
 _idle: dict[int, list[Child]] = {}
 
 
 def _child() -> Child:
     idle = _idle.setdefault(os.getpid(), [])
-    with suppress(IndexError):  # the list may be empty
+    with suppress(IndexError):  # the list of idle children may be empty
         while (child := idle.pop()).ended:
             pass
         return child
@@ -305,7 +305,7 @@ def _child() -> Child:
 
 def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
     """Executes laws in a child process, for one controller at a time."""
-    np.seterr(all="ignore")  # `OwnLaw` checks for results that are not finite
+    np.seterr(all="ignore")  # `OwnLaw` finds results that are not finite, so NumPy's warnings are not needed
     runs: Any = None
     for what, *message in messages:
         try:

@@ -20,14 +20,15 @@ from models.common.errors import InputError, list_names
 from models.common.schema import SI, Choice, Section, keys
 from models.laws.law import ControlLaw, Design, DriverKey, LawSource
 
-STILL = 1e-150  # m/s, replaces a velocity of 0
+STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
-# Default crossover [rad/s], 1.9 Hz: slightly above the natural frequency of a car body, where skyhook and ADD are equally good
+# Default crossover frequency of 1.9 Hz [rad/s]. It is slightly above the natural frequency of a car body; at this frequency,
+# the laws skyhook and ADD are equally good
 CROSSOVER = 12.0
 
-Quantity = Any  # an array for many dampers, or a number for one
+Quantity = Any  # damping coefficients: an array for many dampers, or a number for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,8 @@ class LawCoefficients:
         return replace(self, modes=(damped, moved), **others)
 
 
-# Arguments: LawCoefficients, then measurements of shape (N, m), or (N, 1) for a mode of the body; returns coefficients
+# Function with two arguments: LawCoefficients, and measurements of shape (N, m), or (N, 1) for a mode of the body. It returns
+# damping coefficients
 Law = Callable[..., Quantity]
 
 
@@ -134,7 +136,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
     """Continuous skyhook of the body's modes: a damper to the sky for heave, pitch and roll each, shared among the corners."""
     damped = moved = 0.0
-    # Terms are added one after another, so that the result does not depend on the number of runs
+    # Terms are added one by one, so that the result does not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
         damped += to_sky * speed
         moved += share * speed
@@ -143,7 +145,7 @@ def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
 
 
 BOTH = (SPRUNG, UNSPRUNG)
-# For each name: the function of the law, its measurements at every suspension, and its other keys.
+# Semi-active laws by name: the function of the law, its measurements at every suspension, and its other keys.
 LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook": (skyhook, BOTH, ()),
     "skyhook_linear": (skyhook_linear, BOTH, ("sky_damping",)),

@@ -25,7 +25,7 @@ def compile_file(what: str, path: Path, text: str) -> CodeType:
     """
     try:
         return compile(text, str(path), "exec")
-    # The text may contain, for example, a NUL character or too many nested brackets
+    # The text may not be compilable, for example because of a NUL character or too many nested brackets
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise InputError(f"{what}: its code is not valid Python ({getattr(error, 'msg', error)}{where}); correct it") from error
@@ -45,11 +45,12 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
         InputError: the code failed. The message gives the last executed line of the user's file.
     """
     try:
-        with np.errstate(all="ignore"):  # the caller checks for results that are not finite
+        # NumPy's warnings are not needed, because the caller checks for results that are not finite
+        with np.errstate(all="ignore"):
             return code()
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # includes SystemExit
+    except BaseException as error:  # user code may raise any exception, even SystemExit
         if refuses and isinstance(error, InputError):
             raise
         raise InputError(f"{what}: {name} fails ({reason(error, path)}); correct it") from error
@@ -59,6 +60,6 @@ def reason(error: BaseException, path: Path | None = None) -> str:
     """Describes an error: its type, its text, and the last executed line of the file."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     said = "" if isinstance(error, InputError) else type(error).__name__
-    with suppress(Exception):  # the text of an exception may also come from user code, which may fail
+    with suppress(Exception):  # user code may also define the text of an exception, and may fail while it creates the text
         said = ": ".join(text for text in (said, one_line(str(error))) if text)
     return said + (f", line {lines[-1]}" if lines else "")

@@ -30,7 +30,7 @@ from models.parts.characteristic import departures
 from models.parts.native import Tendon
 from models.parts.part import Limit, Line, Part, SettablePart
 
-ROUNDING = 1e-9  # smaller forces, relative to the largest force of the nominal characteristic, are rounding errors
+ROUNDING = 1e-9  # a force below this share of the largest force of the nominal characteristic counts as a rounding error
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ class Characteristic(Part):
         return self if ratio == 1 else replace(self, ratio=self.ratio * ratio)
 
     def write(self, tendon: Tendon) -> None:
-        """Writes every straight segment as an actuator. See `Part.write`."""
+        """Writes one MuJoCo actuator for each straight segment of the characteristic. See `Part.write`."""
         tendon.add_pieces(f"{self.argument}", self.curve.pieces, self.argument == "velocity")
 
     @property

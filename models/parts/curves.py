@@ -14,8 +14,8 @@ from models.common.errors import InputError, error_in
 from models.common.extensions import FEATURES
 from models.kinds.kind import VehicleKind, nothing
 
-ROUNDING = 1e-9  # relative to a load
-# If a spring's force in equilibrium differs from the static load by more than this share of the load, there is a warning.
+ROUNDING = 1e-9  # rounding error relative to a load
+# There is a warning if a spring's force in equilibrium differs from the static load by more than this share of the load.
 STATIC_LOAD_TOLERANCE = 0.01
 
 
@@ -39,7 +39,7 @@ def curves_and_parameters(
     over, ratios = FEATURES.load("lines of parts").curvable(kind.suspensions), _ratios(section, kind)
     at_rest = {name: table.at_rest for name, table in ratios.items()}
     entries = {name: entry for name, entry in section.items() if name not in ratios}
-    # The values are arbitrary, because the static loads do not depend on them
+    # These entries have arbitrary values, because the static loads do not depend on them
     anything = {name: 1.0 for name in entries if name in over} | at_rest
     with_any, own = {**parameters, **anything}, kind
     curves = FEATURES.load("curves in files").read_curves(

@@ -10,7 +10,7 @@ from models.characteristics.curve import Pieces
 from models.common.arrays import Array
 from models.parts.part import choose_runs, merge_parts
 
-STILL = 1e-150  # m/s, replaces a velocity of 0
+STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,12 +145,12 @@ class CoefficientRange:
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
-        if self.deviations is not None:  # coefficients are converted to coefficients at velocity 0
+        if self.deviations is not None:  # the requested coefficients are converted to coefficients at velocity 0
             low, soft = self.low[which], self.deviations[1][which].force(-speeds)
             coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
         found = np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
-        for one in self.elements:  # the force that is requested from an element is the force of the whole damper
+        for one in self.elements:  # each element is asked for the force of the whole damper
             part, motion = one.at(closing, which)
             force = whole[..., one.column] + part.element.pull(*motion)
             found[..., one.column] = beyond = part.setting(force, *motion)

@@ -22,9 +22,9 @@ from models.common.errors import InputError
 # MuJoCo's Python bindings do not have type stubs.
 
 
-# a force [N] that is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
+# this force [N] is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
 LARGEST_FORCE = 1e9
-MOTOR = "part_"  # part of a motor's name, between the prefix and the name of the tendon
+MOTOR = "part_"  # this part of a motor's name stands between the prefix and the name of the tendon
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Tendon:
             actuator = self._actuator(f"{self.prefix}{name}_{self.name}_{i + 1}")
             actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             slope, start = float(pieces.slope[i]), float(pieces.start[i])
-            # A positive force of the characteristic pulls the ends together, but a positive actuator force stretches the
-            # tendon.
+            # A positive force of the characteristic pulls the ends of the tendon together, but a positive actuator force
+            # stretches the tendon.
             along = [0.0, -slope] if over_speed else [-slope, 0.0]
             actuator.biasprm[:3] = [slope * (start + length), *along]
             actuator.forcelimited = True
@@ -115,7 +115,8 @@ class Tendon:
             parts.append(ramp)
         if lag is not None:
             for part in parts:
-                part.dyntype = mujoco.mjtDyn.mjDYN_FILTER  # RK4 integrates the lag together with the other states
+                # RK4 integrates the lag of the actuator together with the other states
+                part.dyntype = mujoco.mjtDyn.mjDYN_FILTER
                 part.dynprm[0] = 1 / lag
 
     def _actuator(self, name: str) -> Any:

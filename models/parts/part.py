@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from models.kinds.signals import Signal
     from models.parts.native import Tendon
 
-Number = float | Array  # an array has shape (N,), for N simultaneous runs
+Number = float | Array  # an array of shape (N,) has one number for each of N simultaneous runs
 Quantity = Literal["deflection", "velocity", "force"]
-POINTS = 401  # number of points of a characteristic in a figure, including the point at equilibrium
-STEP = 1e-200  # size of a complex step, whose derivative is exact except for rounding errors
-# Amplitude of a small motion about equilibrium [m or m/s]. A force has a kink if, for this motion, it differs from its
-# linearisation by at least the share KINKED.
+POINTS = 401  # a figure shows a characteristic with this number of points, including the point at equilibrium
+STEP = 1e-200  # size of a complex step; derivatives that are computed with this step are exact except for rounding errors
+# A force has a kink if, for a motion about equilibrium with this amplitude [m or m/s], it differs from its linearisation by at
+# least the share KINKED.
 SMALL, KINKED = 1e-6, 1e-3
-CURVE, BUMP_STOP = "curve", "bump stop"  # events that end the range of linear analysis
+CURVE, BUMP_STOP = "curve", "bump stop"  # linear analysis no longer applies after these events
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,8 @@ class Line:
         """
         total: Any = None
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
-            # This code runs in each stage of a time step, and for most parts only one coefficient is not 0
+            # This shortcut exists because the code runs in each stage of a time step, and most parts have only one coefficient
+            # that is not 0
             if not isinstance(slope, float) or slope:
                 total = slope * x if total is None else total + slope * x
         total = 0.0 if total is None else total
@@ -119,20 +120,21 @@ class Part(ABC):
     Deflections, velocities and forces have any shape (...). Arrays of own states have an additional last axis.
     """
 
-    # Signals of the own states, which are 0 in equilibrium; in a vehicle, their names also contain element and corner
+    # Signals of the part's own states, which are 0 in equilibrium; in a vehicle, their names also contain the element and the
+    # corner
     states: ClassVar[tuple["Signal", ...]] = ()
     inputs: ClassVar[int] = 0
-    # Smallest and largest input that a controller can set; None if a controller does not set the input
+    # Smallest and largest value that a controller can give to the part's input; None if no controller sets the input
     settable: ClassVar[tuple[Number, Number] | None] = None
-    # Parameter of the suspension that is replaced by a characteristic in `[curves]`, and argument of the characteristic
+    # Parameter of the suspension that a characteristic in `[curves]` replaces, and variable on which the characteristic depends
     replaces: ClassVar[tuple[str, "Argument"] | None] = None
-    reach: ClassVar[float] = np.inf  # magnitude of the largest argument for which the part is valid [m/s or m]
-    # True for a force that acts only beyond a limit of the linear range; nonlinear reference solutions omit this force
+    reach: ClassVar[float] = np.inf  # the part is valid up to this magnitude of its argument [m/s or m]
+    # True for a part whose force acts only beyond a limit of the linear range; nonlinear reference solutions omit this force
     contact: ClassVar[bool] = False
     stores: ClassVar[bool] = False  # True for a part that stores energy and does not dissipate any
-    argument: ClassVar[Quantity | None] = None  # the only argument of the force, if it depends on one quantity only
-    fastest: ClassVar[float] = 0.0  # largest rate of the own states at 2 m/s [1/s], if the rate grows with velocity
-    native: ClassVar[bool] = False  # True if `write` can represent the nonlinear force by MuJoCo's own elements
+    argument: ClassVar[Quantity | None] = None  # argument of the force, if the force depends on one quantity only
+    fastest: ClassVar[float] = 0.0  # largest rate of the part's own states at 2 m/s [1/s], if this rate grows with velocity
+    native: ClassVar[bool] = False  # True if the method `write` can represent the nonlinear force by MuJoCo's own elements
 
     @abstractmethod
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -177,7 +179,7 @@ class Part(ABC):
         slopes: Any = (np.imag(self.pull(d, v, np.zeros(n), u)) / STEP for d, v, u in along)
         if not n:
             return Line(*slopes, inertance=inertance)
-        rows = STEP * 1j * np.eye(n + 3)  # the rows contain complex steps of z, d, v and u
+        rows = STEP * 1j * np.eye(n + 3)  # each row contains a complex step of one own state z, or of d, v or u
         pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
         rates = [np.imag(self.rate(row[n], row[n + 1], row[:n], row[n + 2])) / STEP for row in rows]
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
@@ -264,7 +266,7 @@ class Part(ABC):
             tendon: tendon of the suspension.
             by_motor: True if a motor already applies the nonlinear force.
         """
-        return  # nothing to write, because most parts have no input
+        return  # by default, nothing is written, because most parts have no input
 
     @property
     def words(self) -> str:
@@ -528,7 +530,7 @@ class Stack:
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns `Part.beyond` of all parts, for arrays of shape (..., N, k)."""
-        if len(self._groups) == 1 and not self._line:  # shortcut, because this code runs in each stage of a time step
+        if len(self._groups) == 1 and not self._line:  # this shortcut exists because the code runs in each stage of a time step
             return self._groups[0][0].beyond(d, v, z, u)
         if not self._line:
             return self._rows(lambda part, *at: part.beyond(*at), d, v, z, u)
@@ -607,7 +609,8 @@ def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
             return None
     if not changed:
         return first
-    # The object is created without `__post_init__`, which can only check single numbers and has already checked each part
+    # The object is created without `__post_init__`, because that method has already checked each part, and can only check
+    # single numbers
     together = object.__new__(type(first))
     vars(together).update({one.name: changed.get(one.name, getattr(first, one.name)) for one in fields(first)})  # pyright: ignore[reportArgumentType]
     return together

@@ -13,9 +13,10 @@ from models.characteristics.curve import ForceCurve
 from models.kinds.kind import GRAVITY
 from models.parts.stops.stop import Stop, StopTable
 
-WEAKEST, FIRMEST = 0.01, 10.0  # plausible range of a measured damper's damping ratio
-FASTEST = 5.0  # velocity [m/s]; a table with larger velocities is probably in inches, unless the damper is firm
-REVERSED_RATIO = 1.6  # ratio of compression force to extension force, above which the sign of the table is probably reversed
+WEAKEST, FIRMEST = 0.01, 10.0  # plausible range of the damping ratio that a measured damper gives
+FASTEST = 5.0  # a table with velocities above this [m/s] is probably in inches, unless the damper is firm
+# If the compression force divided by the extension force is above this ratio, the sign of the table is probably reversed
+REVERSED_RATIO = 1.6
 SHORTEST, LONGEST = 5e-3, 2.0  # plausible range of the largest deflection in a table [m]
 # Plausible range of the largest force in a table, relative to the static load on the suspension
 WEAKEST_STOP, FIRMEST_STOP = 1 / 30, 100.0

@@ -24,7 +24,7 @@ from models.common.arrays import Array
 from models.parts.native import Tendon
 from models.parts.part import CURVE, Limit, Line, Number, Part
 
-FINE = 801  # points of a spring's characteristic over travel
+FINE = 801  # number of points of a spring's characteristic over travel
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class AtRatio(Part):
         return bool(np.any(self.load))
 
     @cached_property
-    def _lift(self) -> Any:  # load between the part's own ends, before the factor `scale`
+    def _lift(self) -> Any:  # load between the ends of the part itself, before it is multiplied by `scale`
         return self.load / self.table.at_rest
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:

@@ -25,8 +25,8 @@ from models.kinds.kind import Suspension
 from models.parts.native import Tendon
 from models.parts.part import Limit, Number, Part, SettablePart, Straight
 
-SAME = 1e-12  # relative difference of forces, below which a difference is a rounding error
-SPEED = 1.0  # velocity [m/s] at which a damping coefficient is computed to represent the element
+SAME = 1e-12  # forces that differ by less than this share count as equal, because of rounding errors
+SPEED = 1.0  # the element is represented by its damping coefficient at this velocity [m/s]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from models.vehicle.names import PLUS
 
 DescribedRoad = Obstacle | Iso8608 | Multisine
 ROADS: Mapping[str, type[DescribedRoad]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
-SAME = 1e-12  # relative rounding error of numbers that are computed from other numbers
+SAME = 1e-12  # relative rounding error of a number that is computed from other numbers
 
 
 def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:

@@ -33,14 +33,15 @@ from models.roads.road import Departure, Road, track_width
 from models.roads.spectrum import Spectrum, coherency, slope_power
 from models.vehicle.vehicle import Vehicle
 
-SPEED = 80 / 3.6  # speed of the golden car [m/s]
-SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15  # k_s/m_s, k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
-BASE = 0.25  # length of the moving average [m]
-SETTLING_DISTANCE = 100.0  # distance after which the effect of the start has decayed to 1e-5 [m]
-FORGOTTEN = 1e-18  # relative decay at which a response is truncated; it is below the rounding error
+SPEED = 80 / 3.6  # speed of the golden car [m/s], the reference vehicle of the IRI
+# Parameters of the golden car: k_s/m_s and k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
+SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15
+BASE = 0.25  # length of the moving average of the profile [m]
+SETTLING_DISTANCE = 100.0  # over this distance [m], the effect of the initial state decays to 1e-5
+FORGOTTEN = 1e-18  # a response is truncated where it has decayed to this share, which is below the rounding error
 
-# The states are z_s, z_s', z_u and z_u'. Derivatives are with respect to distance instead of time. The input is the slope of
-# the profile.
+# The states of the golden car are z_s, z_s', z_u and z_u'. Derivatives are with respect to distance, not time. The input is the
+# slope of the profile.
 A = np.array(
     [
         [0.0, 1.0, 0.0, 0.0],
@@ -72,7 +73,7 @@ def suspension_slopes(heights: Array, step: float) -> Array:
     """
     base, first = _samples(step), min(max(round(START / step), 1), len(heights))
     slopes = (heights[base:] - heights[:-base]) / (base * step)
-    # Mean slope at the start, as in the program listing of Sayers (1995)
+    # Mean slope at the start of the profile, as in the program listing of Sayers (1995)
     start = (heights[first - 1] - heights[0]) / (step * first)
     answer, settling, size = _answers(step, len(slopes))
     travel_slopes = np.fft.irfft(np.fft.rfft(slopes, size) * answer, size)[: len(slopes)]
@@ -111,7 +112,8 @@ def missing(lines: Array, variances: Array) -> Array:
     rates, of_slopes, of_start = _modes(STEP)
     base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED_LINES
     turn = np.exp(way * STEP)
-    before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))  # steady-state response before sample 0, in each mode
+    # steady-state response before sample 0, for each mode
+    before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))
     averaged = (turn**base - 1) / (way * base * STEP)
     start = (turn ** (first - 1) - 1) / (way * first * STEP)
     away, moving = start[:, None] * of_start - (averaged / turn)[:, None] * before, averaged * before.sum(axis=-1)
@@ -120,7 +122,7 @@ def missing(lines: Array, variances: Array) -> Array:
     modes, period = (
         np.exp(np.outer(at + 1, rates)),
         round(COUNTED_LINES / (base * STEP)),
-    )  # number of sinusoids after which the phases repeat
+    )  # the phases of the sinusoids repeat after this number of sinusoids
     folded = np.zeros((-(-(int(lines[-1]) + 1) // period) * period, len(rates)), dtype=complex)
     folded[lines] = away * (variances * np.conj(moving))[:, None]
     both = np.fft.fft(folded.reshape(-1, period, len(rates)).sum(axis=0), axis=0)[: len(at)]
@@ -164,16 +166,19 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
 
 
 TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of a vehicle with two tracks
-STEP = 0.025  # distance between samples [m]; a tenth of the length of the moving average
+STEP = 0.025  # distance between samples of the profile [m]: a tenth of the length of the moving average
 COARSEST = 0.3  # largest spacing of samples [m]; ASTM E1926 does not define the IRI for larger spacings
-# Largest variation of the spacing that counts as a rounding error of distances or coordinates, relative to the spacing
+# If the spacing varies by less than this share, the variation counts as a rounding error of distances or coordinates
 EVEN = 0.01
-ROUNDING = 1e-6  # relative rounding error that is allowed for the coarsest spacing
-SHORTEST = START + BASE  # length of the shortest profile with an IRI [m]
-LONGEST = 1e5  # m, largest evaluated distance
-COUNTED_LINES = 512.0  # number of sinusoids per cycle/m for the effect of the start, which ends within a fifth of 512 m
-GRAIN = 4096.0  # number of sinusoids per cycle/m of a spectrum; a transient of the car ends within a tenth of 4096 m
-# Number of points per cycle/m in integrals over a spectrum; the resonances are a hundred times wider than their spacing
+ROUNDING = 1e-6  # the largest spacing of samples may be exceeded by this relative rounding error
+SHORTEST = START + BASE  # an IRI needs a profile of at least this length [m]
+LONGEST = 1e5  # largest distance that is evaluated [m]
+# Number of sinusoids per cycle/m with which the effect of the start is computed; this effect ends within a fifth of 512 m
+COUNTED_LINES = 512.0
+# Number of sinusoids per cycle/m that represent a spectrum; a transient of the golden car ends within a tenth of 4096 m
+GRAIN = 4096.0
+# Number of points per cycle/m in integrals over a spectrum; a resonance is a hundred times wider than the distance between
+# points
 LINES = 8192
 
 

@@ -42,14 +42,15 @@ from models.roads.road import Road
 from models.roads.spectrum import N0, Spectrum, coherency
 from models.vehicle.names import CLASSES
 
-LOWEST, HIGHEST = 0.01, 10.0  # cycle/m, default band
-LENGTH = 1024.0  # m, default length
-IRI = SI("m/km", "mean IRI of such roads before the factor, instead of a class", 0.01, 300.0)  # class H has 200
-BAND = (1e-3, 100.0)  # range of allowed bands [cycle/m]
-BLOCK = 1_000_000  # number of terms that are summed together if times are not evenly spaced
-FEW = 10  # number of times; a transform is faster for more times if they are evenly spaced
-FAST = (2, 3, 5, 7, 11)  # prime factors for which NumPy's transforms are fast
-MOST_KEPT = 200_000  # largest number of times whose sum is cached (1.6 MB)
+LOWEST, HIGHEST = 0.01, 10.0  # default band of spatial frequencies [cycle/m]
+LENGTH = 1024.0  # default length of a road [m]
+# Roads of class H have a mean IRI of 200 m/km
+IRI = SI("m/km", "mean IRI of such roads before the factor, instead of a class", 0.01, 300.0)
+BAND = (1e-3, 100.0)  # range in which a band of spatial frequencies must lie [cycle/m]
+BLOCK = 1_000_000  # number of terms that are summed at once if the times are not evenly spaced
+FEW = 10  # for more evenly spaced times than this, a transform is faster than a sum
+FAST = (2, 3, 5, 7, 11)  # NumPy's transforms are fast for lengths with only these prime factors
+MOST_KEPT = 200_000  # a sum is cached for at most this number of times (1.6 MB)
 
 
 def roughness(road_class: str) -> float:
@@ -93,7 +94,7 @@ class Iso8608(Section, Road):
             is also raised if more than one of class, IRI and G_d(n0) is given.
     """
 
-    # Names of the numbers in the text of a road
+    # Names of the numbers that the text of a road contains
     settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")
     road_class: Annotated[
         str, Text("`class` in a text: `A` to `H`, or a limit such as `A/B`; empty if `iri` or `gd` is given")
@@ -296,7 +297,7 @@ def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, cou
     turn = float(f"{road.speed * step / road.length:.14g}")
     angle = np.arange(count) * (round(road.n[0] * road.length) * turn)
     shift = np.exp(-2j * np.pi * (angle - np.round(angle)))
-    # The exponent of the transform is negative. The complex conjugate of the sum has the same real part.
+    # The transform has a negative exponent, so the complex conjugates are used; the real part of the sum is the same.
     return (shift * _chirp_transform(len(lines), count, turn)(np.conj(lines * turned))).real
 
 

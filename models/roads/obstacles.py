@@ -12,7 +12,7 @@ from models.common.schema import SI
 from models.roads.road import Bump, Length, Obstacle, Road, ScaledRoad, Speed, Track
 from models.roads.sinusoids import Sine, SineSweep, Start
 
-AT_ONCE = 1e-9  # rounding error of the time at a vertical edge [s]
+AT_ONCE = 1e-9  # rounding error of the time at which a wheel meets a vertical edge [s]
 
 
 @dataclass(frozen=True)
@@ -215,5 +215,5 @@ def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -
     SI("m", low=low, high=road.length / 2).number(f"{road.kind} {other}", value)
 
 
-# Roads by their names on a command line, in a campaign file or in a log.
+# Types of road, with the names that are used on a command line, in a campaign file and in a log.
 OBSTACLES: Mapping[str, type] = {one.kind: one for one in (Bump, WattsHump, Step, Pothole, SineSweep, Flat, Sine)}

@@ -13,8 +13,8 @@ from models.common.files import reading
 from models.roads.profile import Profile, begun_at
 
 AT_ONCE = 2**20  # number of heights that are computed together; PyOpenCRG needs several hundred bytes per height
-TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # number of characters per number, by format
-LINE = 80  # number of characters in a line of numbers
+TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # number of characters of one number, for each format
+LINE = 80  # number of characters in a line that contains numbers
 NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 GIVE = "give an OpenCRG file"
 
@@ -86,7 +86,7 @@ def read_surface(path: Path) -> Surface:
             raise InputError("OpenCRG files need PyOpenCRG; install it with pip install -e '.[opencrg]'") from error
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # most warnings do not matter for a profile
+                warnings.simplefilter("ignore")  # most of PyOpenCRG's warnings do not matter for a profile
                 head, road = io.read_ipl(path, meta_only=True), CrgRoad.read(path)
             u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
             rows = range(0, len(u), max(1, AT_ONCE // len(v)))

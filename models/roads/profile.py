@@ -18,15 +18,19 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-GAP = 10.0  # largest spacing relative to the median; in a wider gap, points may be missing, and a spline would invent heights
-SHORT = 5.0  # length [m] up to which a gap is not suspicious
-# Plausible range of the rms slope; the best runways have 1e-3, and the roughest class of ISO 8608 has 0.5
+# Largest distance between points, relative to the median distance; in a wider gap, points may be missing, and a spline would
+# invent heights
+GAP = 10.0
+SHORT = 5.0  # a gap of at most this length [m] is not suspicious
+# Plausible range of the rms slope of a profile; the best runways have 1e-3, and the roughest class of ISO 8608 has 0.5
 SMOOTHEST, STEEPEST = 3e-5, 1.0
-CHORD = 0.25  # length over which slopes are computed [m], as in ASTM E1926
-FEWEST = 4  # smallest number of points of a spline
-OFTEN = 0.05  # if a larger share of points is in the wrong order, the column of distance may be a coordinate
-START = 11.0  # distance [m] over which the mean slope determines the plane of the start, as for the golden car (ASTM E1926)
-ROUNDING = 8 * float(np.finfo(float).eps)  # rounding error of a height and of the start's slope, relative to the largest height
+CHORD = 0.25  # the slope of a profile is computed over this length [m], as in ASTM E1926
+FEWEST = 4  # a spline needs at least this number of points
+OFTEN = 0.05  # if more than this share of the points is in the wrong order, the column of distance may be a coordinate
+# The mean slope over this distance [m] determines the inclination at the start, as for the golden car (ASTM E1926)
+START = 11.0
+# Rounding error of a height and of the slope at the start, relative to the largest height
+ROUNDING = 8 * float(np.finfo(float).eps)
 JOINS = ("straight", "smooth")
 Join = Annotated[str, Choice("how points are joined", JOINS)]
 
@@ -102,7 +106,7 @@ class Profile(MeasuredRoad):
                 "straight in this gap, so check that no points are missing"
             )
         chord = max(CHORD, usual)
-        at = np.arange(x[0], x[-1] + chord / 2, chord)  # slopes over this length do not include texture
+        at = np.arange(x[0], x[-1] + chord / 2, chord)  # slopes over this length do not show the texture of the surface
         rough = max(float(np.diff(np.interp(at, x, track)).std()) / chord for track in z.T) if len(at) > 1 else 0.0
         smooth = ROUNDING * max(1.0, float(np.abs(z).max())) / usual < rough < SMOOTHEST
         said = "no road is so smooth: check the units of heights and distances"
@@ -221,7 +225,7 @@ class Profile(MeasuredRoad):
 
     @cached_property
     def _splines(self) -> "dict[str, CubicSpline]":
-        from scipy.interpolate import CubicSpline  # this import takes 0.5 s
+        from scipy.interpolate import CubicSpline  # this import is delayed, because it takes 0.5 s
 
         ends = {side: ((1, 0.0), (1, self._slope(side, 1) - self._slope(side, 0))) for side in self._over_plane}
         return {

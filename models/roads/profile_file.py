@@ -32,36 +32,38 @@ from models.common.units import LENGTH, setting, unit_size
 from models.roads.profile import JOINS, Join, Profile, check_points
 
 READ = ("distance", "height", "left", "right")
-# Names of the height columns, by number of columns
+# Names of the height columns of a file with this number of columns
 TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
 GIVE_COLUMNS = "give two or three column numbers, as in columns=1,3 or columns=1,3,4, or one or two with :step"
 UNITS = tuple(LENGTH)
-# First word of an ERD file; number of letters of a keyword and of a value; KEYNUM of files whose numbers are text
+# First word of an ERD file; number of letters of a keyword and of a value; value of KEYNUM in files with numbers as text
 ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5
 RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
 SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
 A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
-# Distance between points [m]; if a column of distance without a unit has a wider spacing, its unit is probably not m
+# Distance between points [m]; if the distance column has no unit and a wider spacing, its unit is probably not m
 WIDEST = 20.0
 STEP_REFUSAL = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
-# Range of the slope of a column over the distance of the rows, in any units of length, in which the column is a distance. The
-# heights of a road do not rise with this slope along the whole length.
+# A column is a distance if its slope over the distance of the rows, in any units of length, is in this range. The heights of a
+# road do not rise with such a slope along the whole length.
 LIKE_DISTANCE = (0.2, 5.0)
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
-PLANES = (  # words in headings for coordinates to the east and to the north; a path has one column of each type
+PLANES = (  # words by which headings name coordinates to the east and to the north; a path has one column of each type
     ("easting east rechtswert ostwert rw ost utmx", "northing north hochwert nordwert hw nord utmy"),
     ("e", "n"), ("x", "y"), DEGREES,
 )  # fmt: skip
-AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # semi-major axis [m] and flattening of the ellipsoid
-BLOCK = 5.0  # length of path over which positions are averaged [m]
-# Relative lengthening of a path by noise; values above the first number cause a warning, above the second number an error
+AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # semi-major axis [m] and flattening of the Earth's ellipsoid
+BLOCK = 5.0  # positions are averaged over this length of path [m]
+# Relative amount by which noise may lengthen a path: more than the first number causes a warning, more than the second number
+# an error
 NOTABLE, NOISY = 0.01, 0.05
 # Relative difference of two lengths that causes a warning, and ratio of two lengths that causes an error
 DIFFERENT, OTHER = 0.05, 2.5
-APART = 100.0  # largest difference between the heights of two tracks [m]
-SLIGHT, DIVERGING = 2.0, 0.2  # largest change of this difference along a road [m], and the same relative to the distance
+APART = 100.0  # largest allowed difference between the heights of two tracks [m]
+# Largest change along a road of the height difference between two tracks [m], and the same change relative to the distance
+SLIGHT, DIVERGING = 2.0, 0.2
 
 
 def _columns(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-STROKE = 2.0  # largest travel of a post from its first height [m]
+STROKE = 2.0  # largest distance that a post may move from its first height [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class Rig(MeasuredRoad):
 
     @cached_property
     def _splines(self) -> "list[CubicSpline]":
-        from scipy.interpolate import CubicSpline  # this import takes 0.5 s
+        from scipy.interpolate import CubicSpline  # this import is delayed, because it takes 0.5 s
 
         rises = self.heights - self.heights[0]
         return [CubicSpline(self.time - self.time[0], rise, bc_type="clamped") for rise in rises.T]

@@ -25,7 +25,7 @@ HIGHEST = 10.0  # m
 Length = Annotated[float, SI("m", "length", 1e-3, 1e4)]
 Speed = Annotated[float, SI("m/s", "speed of the vehicle", 1e-3, 1e3)]
 Track = Annotated[str, Choice("side of the road that it is under", ("left", "right", "both"))]
-STEADY = 1e-12  # smaller values, relative to the largest term of a state or signal in steady motion, are rounding errors
+STEADY = 1e-12  # a value below this share of the largest term of a state or signal in steady motion counts as a rounding error
 LOWEST = 1e-5  # smallest height of a road [m]; rounding errors of the vehicle's weight would hide the effect of a lower road
 
 
@@ -210,7 +210,7 @@ class Obstacle(Section, Road):
     """
 
     kind: ClassVar[str]
-    tall: ClassVar[tuple[str, ...]] = ("height",)  # names of the fields that `scaled` multiplies
+    tall: ClassVar[tuple[str, ...]] = ("height",)  # names of the fields that the method `scaled` multiplies
 
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind} ")
@@ -464,7 +464,7 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
         return (b - a) / 2 * (function(middle - apart) + function(middle + apart))
 
     mean = area(start, end) / length
-    # First and last knot inside each interval
+    # Indices of the first and the last knot inside each interval
     first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1
     (some,) = np.nonzero(first <= last)
     if len(some):

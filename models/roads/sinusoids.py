@@ -13,8 +13,8 @@ from models.common.schema import SI, Choice, ListedValues, Section
 from models.roads.road import Obstacle, Road, Speed
 
 Start = Annotated[float, SI("s", "time at which the first wheel reaches it", 0.0, 1e4)]
-BLOCK = 4_000_000  # number of sines that are evaluated together; a larger number would need more memory without being faster
-MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
+BLOCK = 4_000_000  # this number of sines is evaluated at once; a larger number would need more memory without being faster
+MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names of these numbers in a log
 
 
 @dataclass(frozen=True)

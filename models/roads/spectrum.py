@@ -58,11 +58,12 @@ def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
         width: distance b between the tracks [m].
         waviness: w.
     """
-    from scipy import special  # importing SciPy takes 0.1 s
+    from scipy import special  # this import is delayed, because SciPy takes 0.1 s
 
     x = 2 * np.pi * np.asarray(n) * width
     half, there = waviness / 2, np.where(x > 0, x, 1.0)
-    if waviness == 2:  # this case gives the same numbers, bit for bit, as versions without a waviness
+    # With this formula, the numbers are the same, bit for bit, as in versions without the parameter `waviness`
+    if waviness == 2:
         return np.where(x > 0, x * special.k1(there), 1.0)
     return np.where(x > 0, 2 / special.gamma(half) * (there / 2) ** half * special.kv(half, there), 1.0)
 

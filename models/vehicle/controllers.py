@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from models.laws.weighted_errors import WeightedErrors
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
-RESERVED_NAMES = ("passive", "state")  # these two controllers always exist: zero force, and full state feedback
-PUSHING_ACTUATORS = "force"  # value of `actuators` in a controller's section
+RESERVED_NAMES = ("passive", "state")  # every vehicle has these two controllers: zero force, and full state feedback
+PUSHING_ACTUATORS = "force"  # value of the key `actuators` in a controller's section
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ class GivenSection(SignalSection):
     `ControllerSection` has these and all other keys.
     """
 
-    order = design = preview = goals = errors = None  # keys and properties that only other control laws have
+    order = design = preview = goals = errors = None  # keys and properties that only other types of control laws have
 
     gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain, allowed=ROWS)] = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
@@ -394,7 +394,7 @@ def _hardware(
             f"as in noise = {{ {measured[0]} = 0.01 }}, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
-    # Laws with a gain for each force may measure forces like any other signal.
+    # A law that has separate gains for each force may measure forces like any other signal.
     by_force = request.structure is not None and request.structure.rows is not None
     if forces and not (asked.lag or by_force or request.two_steps):
         raise InputError(

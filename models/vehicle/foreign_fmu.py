@@ -83,7 +83,7 @@ class ForeignFmu:
         with self._errors():
             self._set_inputs(sample)
             result = self._fmu.doStep(sample.time, sample.period)
-            if result and result[1]:  # in FMI 3, this value reports that the FMU has ended the simulation
+            if result and result[1]:  # with this value, an FMU of FMI 3 reports that it has ended the simulation
                 raise InputError("the FMU ended the simulation")
             return [getattr(self._fmu, f"get{one.type}")([one.valueReference])[0] for one in self._forces]
 
@@ -97,18 +97,18 @@ class ForeignFmu:
         _messages.clear()
         try:
             yield
-        except Exception as error:  # FMPy raises many types of error
+        except Exception as error:  # FMPy may raise many types of errors
             if hasattr(self, "_end"):
                 self._end.detach()  # an FMU that has failed must not be terminated
             raise InputError(": ".join([str(error).rstrip("."), *_messages[-1:]]) + give) from error
 
 
-# Error messages of the current call; FMPy sends messages of all instances to the logger of the last instance
+# Error messages of the current call. FMPy sends the messages of all FMU instances to the logger of the last instance
 _messages: list[str] = []
 
 
 def _log(*arguments: Any) -> None:
-    status, _, text = arguments[-3:]  # these are the last three arguments in both FMI 2 and FMI 3
+    status, _, text = arguments[-3:]  # in FMI 2 and in FMI 3, these are the last three arguments
     if status > 1:
         _messages.append(text.decode(errors="replace"))
 
@@ -149,7 +149,7 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         unit = one.unit or (one.declaredType and one.declaredType.unit)
         signal = next(
             (known for known in KNOWN_SIGNALS if f"{name}_".startswith(f"{known.name}_")), None
-        )  # the name of a variable may end with the name of a corner
+        )  # the name of an FMU variable may end with the name of a corner
         if unit and signal and _plain(unit) != signal.unit:
             raise InputError(f"{one.name} of the FMU has the unit {short_repr(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces

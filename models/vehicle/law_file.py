@@ -13,12 +13,14 @@ from models.common.errors import InputError, first_few, list_names, short_repr
 from models.common.table import matlab_variables
 
 MATRICES = ("A", "B", "C", "D")
-OTHERS = {f"{name}k": name for name in MATRICES}  # names in textbooks
+OTHERS = {f"{name}k": name for name in MATRICES}  # names of the matrices in textbooks
 TRANSFER = ("num", "den")  # transfer function from one measurement to one force
 PERIODS = ("Ts", "sample_period")
-DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")  # fields of a struct that get(sys) returns
+# Fields of the struct that MATLAB's get(sys) returns
+DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")
 SAVE = "save('FILE.mat', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
-KINDS = {"U": "text", "O": "a cell array or an object", "V": "a struct"}  # descriptions by the letter of the NumPy type
+# Descriptions of NumPy types, by the letter of the type
+KINDS = {"U": "text", "O": "a cell array or an object", "V": "a struct"}
 
 
 def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
@@ -37,7 +39,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
     where, values = _only_controller(matlab_variables(content))
     matrices = {
         name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()
-    }  # sparse matrices become dense
+    }  # sparse matrices are converted to dense matrices
     if {"A", "B", "C"} & {*matrices}:
         missing = [name for name in MATRICES if name not in matrices]
         if missing:
@@ -65,7 +67,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
         raise InputError(f"the file contains several controllers, in {' and '.join(holding)}; keep one of them")
     for where, values in holding.items():
         return where, _as_matrices(where, values)
-    # SciPy uses this name for objects, each of which is a row of four values with its own name and class
+    # SciPy gives this name to MATLAB objects; each object is a row of four values, which include its name and class
     if "None" in variables:
         name, _, kind, _ = (part.decode() if isinstance(part, bytes) else part for part in variables["None"][0])
         raise InputError(

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from models.kinds.kind import Suspension
     from models.parts.stops.stop import BumpAndRebound
 
-ORDERS = ("force", "command")  # values of `Limits.limit`
-# largest requested force [N] of an actuator with a largest force; larger requests count as this, because MuJoCo does not accept
+ORDERS = ("force", "command")  # allowed values of the field `Limits.limit`
+# An actuator with a largest force gets at most this request [N]; larger requests are reduced, because MuJoCo does not accept
 # them
 MOST_ASKED = 1e9
 
-LONGEST_PERIOD = 1.0  # longest sample period of a controller [s]
-MOST_DELAY = 50  # largest delay [sample periods]; each period adds states to the sampled loop
+LONGEST_PERIOD = 1.0  # longest allowed sample period of a controller [s]
+MOST_DELAY = 50  # longest allowed delay [sample periods]; each period adds states to the sampled loop
 NO_PERIOD = (
     "has sampled = true, but [implementation] gives no sample period; give it in seconds, as in sample_period = 0.01, or omit "
     "sampled"

@@ -36,8 +36,8 @@ GIVE = "give the MuJoCo model of the vehicle type"
 # Prefix of actuators that a vehicle file adds to the model. These actuators come after the actuators of the MJCF, which are the
 # inputs
 FITTED_PREFIX = "fitted_"
-SAME = 1e-9  # relative rounding error of a parameter that the code of a vehicle type has written
-MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors that MuJoCo raises for an invalid model
+SAME = 1e-9  # relative rounding error of a parameter that a vehicle type's code has written
+MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # types of errors that MuJoCo raises for an invalid model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
 
 
@@ -107,7 +107,7 @@ def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
     return spec
 
 
-# a cache is possible because files of built-in vehicle types do not change
+# caching is possible, because the files of built-in vehicle types do not change
 _read_shipped = functools.lru_cache(maxsize=16)(_read)
 
 
@@ -142,8 +142,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             actuator.forcerange = [-force, force]
             actuator.ctrlrange = [-command, command]  # MuJoCo would replace forces above 1e10 N by 0
         if limits.actuator_bandwidth is not None:
-            # RK4 integrates the `filter` together with the other states. The alternative `filterexact` would be exact by
-            # itself, but RK4's intermediate stages would receive its output half a step late.
+            # RK4 integrates the state of MuJoCo's `filter` together with the other states. The alternative `filterexact` would
+            # be exact by itself, but RK4's intermediate stages would receive its output half a step late.
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
             actuator.dynprm[0] = 1 / limits.actuator_bandwidth
 
@@ -304,7 +304,7 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
     """Returns the MJCF of the model that `build_model` compiles, with exact numbers, for the logs."""
     spec = build_spec(vehicle, timestep)
-    spec.compiler.savecompiled = False  # MuJoCo would round compiled values to six digits
+    spec.compiler.savecompiled = False  # MuJoCo would round the compiled values to six digits
     return spec.to_xml()
 
 
@@ -332,9 +332,9 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
-# Amplitude of the test motion [m, rad], which is below the hub height. As an angle, it changes the cosine by 5e-5
+# Amplitude of the test motion [m, rad], which is less than the hub height. An angle of this size changes its cosine by 5e-5
 LARGEST_MOVE = 1e-2
-# Smallest change that counts, relative to the largest entry of a matrix or to the sensor value; the rounding error is 1e-15
+# Smallest change that is noticed, relative to the largest entry of a matrix or to the sensor value; the rounding error is 1e-15
 CHANGE = 1e-9
 TRIALS = 3
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from models.common.errors import InputError, short_repr
 
-WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that a run can omit
+WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that can be omitted in a run
 PASSIVE = "passive"  # name of the controller without force, which every vehicle has
-COPY = "_printed"  # suffix of a controller that repeats another controller with the published gain of a paper
-LONGEST_NAME = 60  # largest length of a name [bytes]; file names can contain the names of three controllers
+COPY = "_printed"  # suffix of the name of a controller that repeats another controller with the gain published in a paper
+LONGEST_NAME = 60  # largest length of a name [bytes]; a file name can contain the names of three controllers
 
 
 def check_name(where: str, name: str, taken: Collection[str]) -> None:
@@ -39,7 +39,8 @@ def _is_name(name: str) -> bool:
 
 ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat", "sine", "rig")
 CLASSES = "ABCDEFGH"  # road classes of ISO 8608
-BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # height [m], length [m] and speed [m/s] of the paper's bump (62)
+# Height [m], length [m] and speed [m/s] of the bump in the reference paper, equation (62)
+BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5
 ROAD_SYNTAX = (
     f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2, or a file (.csv, "
     ".txt, .xlsx, .mat, .erd, .rdf or .crg), such as road.csv:height_unit=mm, or the drive file of a rig, such as "
@@ -62,7 +63,7 @@ def named_file(text: str) -> tuple[str, str] | None:
 
 
 LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
-PLUS = " + "  # separator of the loads in a description
+PLUS = " + "  # this separates the loads in a description
 LOAD_SYNTAX = (
     f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
     "payload:mass=100:x=-1.2, or a .csv file"
@@ -71,7 +72,7 @@ LOAD_SEPARATOR = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
 FILE_SEPARATOR = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
 PART_SEPARATOR = re.compile(
     rf"{LOAD_SEPARATOR}|{FILE_SEPARATOR}", re.IGNORECASE
-)  # separator between a road and its loads, and between two loads
+)  # this separates a road from its loads, and one load from the next
 
 
 def split_off(text: str) -> tuple[str, list[str]]:

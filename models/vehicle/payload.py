@@ -105,7 +105,8 @@ def apply_payload(
             heavier[name] += moved
     turning = [part for part in kind.suspensions if part.ratio in kind.ratios]
     before, after = (kind.static_loads(one) if turning else {} for one in (parameters, heavier))
-    sunk = dict[str, float]()  # compression of springs with a motion ratio over travel, by deflection [m]
+    # Compression [m] of the springs whose motion ratio varies with travel; the keys are the deflections
+    sunk = dict[str, float]()
     for part in turning:
         table, name = kind.ratios[part.ratio], part.deflection
         rest = table.rest_at_load(parameters.get(part.stiffness, 0.0), before[name], after[name])

@@ -15,7 +15,8 @@ from models.kinds.kind import is_number
 from models.laws.filter import Filter, FilterSection
 
 ROAD = "road"  # name of the filter from the disturbance w to the road velocity
-SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # range of the ratio of two weights; outside this range, rounding errors dominate
+# Allowed range of the ratio of two weights; outside this range, rounding errors dominate
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
         return numbers
 
     squares = np.array([[damper.ratio for damper in vehicle.parts.adjustable] for vehicle in vehicles]) ** 2
-    # Coefficients of the dampers at the body and at the wheel
+    # Damping coefficients of the dampers at the body and at the wheel
     sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)
     moved = np.stack([_modes(law, vehicle) for law, vehicle in zip(laws, vehicles, strict=True)], axis=1)
     damped = moved.copy()

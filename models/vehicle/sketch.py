@@ -12,7 +12,8 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 
 AXLES = ("_front", "_rear")
-PAIRS = (*AXLES, "_left", "_right")  # suffixes of parameters that are in the same row
+# Suffixes of parameter names; parameters that differ only in these suffixes are drawn in the same row
+PAIRS = (*AXLES, "_left", "_right")
 FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # pattern of the symbol at the beginning of a parameter's meaning
 
 
@@ -29,7 +30,7 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     kind, given = vehicle.kind, vehicle.parameters
     symbols = {one.name: word[0] for one in kind.parameters if (word := FIRST_WORD.match(one.meaning)) is not None}
     box = _box(vehicle.implementation) if computer else ()
-    axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each axle
+    axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each axle represents the axle
     mass = next((symbols.setdefault(name, "m") for name in ("sprung_mass", "mass") if name in given), "")
     front, rear = (given.get(f"axle_distance{axle}", 0.0) for axle in AXLES)
     letters = [symbols.get(f"axle_distance{axle}", "") for axle in AXLES]
@@ -65,7 +66,7 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
     """Returns a wheel and its suspension, and assigns symbols to parameters without a symbol."""
     kind, ending = vehicle.kind, wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
     one = next((one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection), None)
-    # There is no wheel, and the suspension element itself touches the road
+    # If there is no wheel, the suspension element itself touches the road
     stands = one is not None and one.deflection == wheel.tyre_deflection
 
     def symbol(letter: str, *names: str, ending: str = ending) -> str:

@@ -130,7 +130,7 @@ class VehicleFile(Section):
 
 
 SECTIONS = tuple(keys(VehicleFile))
-LIFTED, FASTEST = "height", 1e3  # key of the drop height in `[start]`; largest value that is allowed in this section [SI]
+LIFTED, FASTEST = "height", 1e3  # key of the drop height in the section `[start]`; largest value that this section allows [SI]
 PERSON = (
     " is the acceleration of a mass above the body, so its ride is evaluated like the ride of a person; list the points with "
     "a person under people in KIND of"
@@ -239,7 +239,8 @@ class Vehicle(ShownResult):
         if not self.start:
             return None
         model = self.linear_model
-        lifted = -self.start.get(LIFTED, 0.0) * model.jump.sum(axis=1)  # lifting the vehicle is equivalent to lowering the road
+        # A vehicle that is lifted is equivalent to a road that is lowered
+        lifted = -self.start.get(LIFTED, 0.0) * model.jump.sum(axis=1)
         return lifted + [self.start.get(name, 0.0) for name in model.states]
 
     def with_parameters(self, **parameters: float | str) -> "Vehicle":
@@ -323,7 +324,7 @@ class Vehicle(ShownResult):
         from models.kinds.at_wheels import force_effects
 
         rows, (push, shown) = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
-        # The force has no direct effect on the parts' own states
+        # This force has no direct effect on the parts' own states
         speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))
         model = FEATURES.load("lines of parts").with_own_states(
             model.with_lines(rows, push, shown, stiffness, damping), more, rows, speeds, push, shown
@@ -592,7 +593,7 @@ class Vehicle(ShownResult):
         check_weights(self.performance, self.sums, outputs)
         filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
         sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
-        _ = sound.parts  # raises an InputError if the parameters do not fit the dampers
+        _ = sound.parts  # this line raises an InputError if the parameters do not fit the dampers
         return sound
 
     @cached_property
@@ -651,7 +652,7 @@ class Vehicle(ShownResult):
         return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
-        """Returns the entry of a controller to which linear analysis applies.
+        """Returns the entry of a controller; linear analysis must apply to this controller.
 
         Raises:
             InputError: the file has no controller of that name, or its law is in Python or semi-active.
@@ -799,7 +800,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     if given.start:
         vehicle = vehicle.starting(**given.start)
     if dampers or vehicle_kind.ratios:
-        _ = vehicle.parts.with_curve  # raises an InputError if the parts do not fit each other or have too many segments
+        # This line raises an InputError if the parts do not fit each other or have too many segments
+        _ = vehicle.parts.with_curve
     for entry in controllers.values():
         vehicle.check_entry(entry)
     return vehicle

@@ -26,7 +26,7 @@ def lvm_text(text: str) -> str:
         raise InputError(f"the LabVIEW file has no line {END}; export the whole file")
     about = {words[0]: words[1] for line in lines[: ends[0]] if len(words := line.replace(",", "\t", 1).split("\t")) > 1}
     mark = {"comma": ",", "semicolon": ";"}.get(about.get("Separator", "").strip().lower(), "\t")
-    if len(ends) == 1:  # the file has a header, but the segment does not
+    if len(ends) == 1:  # the file has a header, but its segment of data has no header
         return "\n".join(["", *[""] * ends[0], *lines[ends[0] + 1 :]])
     rows = [[cell.strip() for cell in line.split(mark)] for line in lines[ends[0] + 1 : ends[1]]]
     segment = {name: cells for name, *cells in rows}
@@ -48,7 +48,7 @@ def lvm_text(text: str) -> str:
     table, row, skipped = [""] * (ends[1] + 1), 0, False
     table.append(mark.join(headings))
     for i, line in enumerate(lines[ends[1] + 2 :], ends[1] + 2):
-        skipped = skipped or line.startswith("Channels")  # header of another segment
+        skipped = skipped or line.startswith("Channels")  # the header of another segment begins here
         cells = line.split(mark)
         if skipped or not line.strip() or cells[0].startswith("X_Value"):
             skipped = skipped and i not in ends

@@ -22,9 +22,9 @@ from models.common.table import find_table, table_text
 from models.common.units import unit_size
 
 GIVE = "give a line of headings such as: time [s], sprung_acceleration [m/s2], and below it one line for each time"
-GAP = 5.0  # longest step between samples, relative to the median step; signals are unknown within longer gaps
-ROWS = 100  # number of rows that determine the number of columns, because the first row may end with missing cells
-LEAST = 3  # smallest number of samples in a log
+GAP = 5.0  # longest time between two samples, relative to the median time; within longer gaps, the signals are unknown
+ROWS = 100  # the number of columns is determined from this number of rows, because the first row may end with missing cells
+LEAST = 3  # a log must have at least this number of samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def read_measured_log(
             raise InputError(f"{columns_in_words(clocks[:1])} contains times; omit the sample rate (--beside-rate)")
         used = _columns_of([one for one in headings if one not in clocks], units, columns)
         remarks = left_out_words(headings, [one.column for one in (*used.values(), *clocks[:1])])
-        stamped = rate is None and ":" in next(table.rows())[1][clocks[0].column - 1]  # times of day
+        stamped = rate is None and ":" in next(table.rows())[1][clocks[0].column - 1]  # the column contains times of day
         bare = [(one, units[name]) for name, one in used.items()] + [(one, "s") for one in clocks[:1] if not stamped]
         remarks += [f"{columns_in_words([one])} has no unit; {unit} is assumed" for one, unit in bare if not one.unit]
         scales = [_scale(one, units[name], name) for name, one in used.items()]
@@ -124,7 +124,7 @@ def read_measured_log(
             raise InputError(
                 f"time falls from {time[i]:.9g} to {time[i + 1]:.9g} s at line {lines[i + 1]}; give one test in each file"
             )
-        new = np.append(True, np.diff(time) > 0)  # rounded times may be equal
+        new = np.append(True, np.diff(time) > 0)  # successive times may be equal after rounding
         if new.sum() < LEAST:
             raise InputError(f"the file has {new.sum()} sample(s), but at least {LEAST} are needed")
         values = (numbers * scales)[new].T
@@ -158,7 +158,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         given = heading_of(columns[name], (unit,)) if name in columns else Heading(name, name)
         keys = {name_key(given.name), name_key(given.text)}
         ones = [one for one in headings if {name_key(one.name), name_key(one.text)} & keys]
-        if name in columns:  # brackets that do not contain a unit belong to the name
+        if name in columns:  # brackets that contain no unit are part of the name
             known = [[one for one in (given.unit, each.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:

@@ -18,7 +18,7 @@ from models.common.errors import InputError, first_few, list_names
 
 MDF_SUFFIXES = (".mf4", ".mdf")
 TIME = "time [s]"
-CLOCKS = frozenset(("time", "timestamp", "stamp", "t"))  # fields of a message that may be its time [s]
+CLOCKS = frozenset(("time", "timestamp", "stamp", "t"))  # names of the fields that may contain the time of a message [s]
 
 
 def mdf_rows(path: Path) -> list[Sequence[Any]]:
@@ -43,7 +43,7 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
                         name = one.name.replace("/", ".")
                         key = f"{name} [{one.unit}]" if one.unit else name
                         columns.setdefault(key, (one.timestamps, one.samples.astype(float)))
-    except Exception as error:  # any parser of the package can raise its own type of error
+    except Exception as error:  # a parser of the package may raise its own type of error
         raise InputError(f"it is not an MDF4 file, or is damaged ({error}); export it again") from error
     return _rows(columns, "the file has no channel of numbers; export channels over time")
 

@@ -32,13 +32,13 @@ def wheelbase(p):
 def linear_model(p):
     """Returns the linear model: 4 states, 2 forces [N], 2 roads [m/s], 9 output signals."""
     springs, dampers = (np.diag([2 * p[f"{part}_{axle}"] for axle in AXLES]) for part in ("stiffness", "damping"))
-    # Matrix from heave and pitch (nose down) to the heights at both ends of the body
+    # Matrix that converts heave and pitch (nose down) to the heights of the front and rear ends of the body
     ends = np.column_stack([[1, 1], -arms(p)])
     inverse = np.diag([1 / p["mass"], 1 / p["pitch_inertia"]])
     A = np.block([[np.zeros((2, 2)), ends], [-inverse @ ends.T @ springs, -inverse @ ends.T @ dampers @ ends]])
     B = np.vstack([np.zeros((2, 2)), inverse @ ends.T])
     Bw = np.vstack([-np.eye(2), np.zeros((2, 2))])
-    share = np.linalg.inv(ends)[0]  # factors of the heights at both ends in the height of the centre of mass
+    share = np.linalg.inv(ends)[0]  # weights with which the two end heights add up to the height of the centre of mass
     height = np.concatenate([share, [0, 0]])
     C = np.vstack([np.eye(4), A[2:], height, np.zeros((2, 4))])
     D = np.vstack([np.zeros((4, 2)), B[2:], np.zeros((1, 2)), np.eye(2)])

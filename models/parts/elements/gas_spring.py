@@ -25,10 +25,11 @@ from models.common.errors import InputError
 from models.common.schema import SI, Section
 from models.parts.part import Line, Number, Part
 
-ATMOSPHERE = 101325.0  # Pa
-USUAL = 293.15  # K
-NARROWEST = 0.02  # smallest volume relative to the volume in equilibrium; a real spring reaches its stop at a larger volume
-DRAWN_SHARE = 0.5  # largest deflection of the drawn characteristic, relative to the length of the gas column in equilibrium
+ATMOSPHERE = 101325.0  # ambient pressure [Pa]
+USUAL = 293.15  # usual gas temperature [K]
+# Smallest gas volume, relative to the volume in equilibrium; a real spring reaches its stop at a larger volume
+NARROWEST = 0.02
+DRAWN_SHARE = 0.5  # the characteristic is drawn up to this deflection, relative to the length of the gas column in equilibrium
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,9 @@ class GasSpring(Part, Section):
         return float(DRAWN_SHARE * np.min(self.column))
 
     def _inside(self, d: Array) -> Array:
-        """Returns the deflections [m], limited to the smallest volume.
+        """Returns the deflections [m], limited so that the gas keeps at least its smallest volume.
 
-        Below this volume, the pressure does not rise further.
+        If the gas were compressed further, the pressure would not rise further.
         """
         return np.maximum(d, (NARROWEST - 1) * self.column)
 

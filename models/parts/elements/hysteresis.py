@@ -30,7 +30,8 @@ from models.common.schema import SI
 from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 
 DECAY = 100.0  # 1/s
-# Velocities [m/s] at which the largest force of a damper, and the largest rate of its state, are computed
+# The largest force of a damper is computed at the first velocity, and the largest rate of its state at the second velocity
+# [m/s]
 FAST, FASTEST = 1.0, 2.0
 
 Voltage = Annotated[
@@ -83,7 +84,7 @@ class Hysteretic(Part):
 
     def at_voltage(self, u: Array | float = 0.0) -> tuple[Any, ...]:
         """Returns the values of the parameters `by_voltage` at voltages u relative to `voltage` [V]."""
-        # Shortcut for a constant voltage, because this code runs in each stage of a time step
+        # A constant voltage has this shortcut, because the code runs in each stage of a time step
         if isinstance(u, float) and not u:
             return self._without_command
         return self._at(self.voltage + u)

@@ -78,7 +78,7 @@ class Stops(Part):
                 tendon.add_pieces(f"stop_{side}", pieces)
             else:
                 first, second, third = stop.stiffness
-                # Beyond the bump stroke, the argument x of the MuJoCo spring is negative.
+                # Beyond the bump stroke, the MuJoCo spring has a negative argument x.
                 slack = (low, SLACK) if sign < 0 else (-SLACK, high)
                 tendon.add_spring(f"stop_{side}", slack, (first, sign * second, third))
 

@@ -9,7 +9,7 @@ from models.common.errors import InputError, short_repr
 from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema
 
-MOST = 3  # largest number of coefficients; MuJoCo's polynomial springs also have three
+MOST = 3  # largest number of coefficients of a stop; MuJoCo's polynomial springs also have three
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ class OfSides(Key):
         """Returns the value for both sides, or a `StopPair`."""
         if not isinstance(value, Mapping) or {"force", "file"} & set(value):
             return self.one.read(value, context)
-        given = {side: one for side, one in value.items() if one is not None}  # a log contains null for a side without a stop
+        # In a log, a side without a stop has the value null
+        given = {side: one for side, one in value.items() if one is not None}
         if not given or not set(given) <= set(SIDES):
             raise InputError(
                 f"{HERE} = {short_repr(dict(value))} has neither bump nor rebound; give {{ bump = ..., rebound = ... }}, one "
@@ -79,7 +80,8 @@ class StopStiffness(Key):
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
         table = json_schema(FEATURES.load("curves in files").StopTableSection)
-        return {"anyOf": [number, several, table, {"type": "string", "pattern": r"\.\w+$"}]}  # a file name is also allowed
+        # The value may also be the name of a file
+        return {"anyOf": [number, several, table, {"type": "string", "pattern": r"\.\w+$"}]}
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from models.parts.stops.section import MOST, StopPair, StopSection
 if TYPE_CHECKING:
     from models.characteristics.curve import ForceCurve
 
-SLACK = 1e3  # largest stroke [m]; larger strokes are not allowed, because no suspension has that much travel
-ROUNDING = 1e-9  # smaller forces, relative to the largest force of a table, count as 0
+SLACK = 1e3  # largest allowed stroke [m]; no suspension has more travel than this
+ROUNDING = 1e-9  # a force below this share of the largest force of its table counts as 0
 
 
 @dataclass(frozen=True)
@@ -219,10 +219,10 @@ def read_stop_table(value: Mapping[str, Any]) -> StopTable:
     if not force.any():
         raise InputError(f"{HERE} has a table without a force that resists bump or rebound")
     if x[-1] < 0 and not force[-1]:
-        x, force = np.append(x, 0.0), np.append(force, 0.0)  # the table of a rebound stop begins at the contact
+        x, force = np.append(x, 0.0), np.append(force, 0.0)  # the table of a rebound stop begins where the stop makes contact
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
     with error_in(f"{HERE}:"):
-        # Raises an InputError if the table cannot be approximated by few enough segments
+        # This line raises an InputError if too many segments are needed to approximate the table
         _ = table.curve if x[-1] >= 0 else None
     return table
 

@@ -21,7 +21,7 @@ from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
 MOST_ROWS = 20_000
-LARGEST = 1e9  # N, N m, s: largest allowed values
+LARGEST = 1e9  # largest allowed force [N], moment [N m] and time [s]
 GIVE = "give a .csv file with the heading time [s] and at least one of heave [N], pitch [N m], roll [N m]"
 
 

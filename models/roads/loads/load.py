@@ -102,7 +102,7 @@ class RampedLoad(Section, Load):
     """
 
     kind: ClassVar[str]
-    size: ClassVar[str]  # name of the field that `scaled` multiplies
+    size: ClassVar[str]  # name of the field that the method `scaled` multiplies
 
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind} ")
@@ -155,7 +155,7 @@ class RampedLoad(Section, Load):
         return {name: amplitude * share for name, amplitude in full.items()}
 
 
-MOMENT_PARAMETERS = ("sprung_mass", "centre_height")  # parameters that determine the moment due to an acceleration
+MOMENT_PARAMETERS = ("sprung_mass", "centre_height")  # parameters on which the moment that an acceleration causes depends
 
 
 def _mass(p: Parameters) -> float:
