@@ -23,7 +23,7 @@ import sys
 
 try:
     from models.common.lazy import attach
-except Exception as error:  # a file or folder of the user has the same name as a package of Roadproof
+except Exception as error:  # the user has a file or folder with the same name as a package of Roadproof
     from importlib.util import find_spec
 
     _spec = find_spec("models")
@@ -35,7 +35,7 @@ except Exception as error:  # a file or folder of the user has the same name as 
     raise SystemExit(2) from error
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # what type checkers and editors see
+if TYPE_CHECKING:  # type checkers and editors see these imports
     from synth.analysis.band_norm import norm_in_band
     from synth.analysis.certificate import certify
     from synth.analysis.norm import hinf_norm

@@ -19,17 +19,21 @@ from synth.plant.units import size
 if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
-MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound from the norm, tried in this order until one is proved
-# bounds to try for norms that are nearly zero, relative to the gain expected from the size of the matrices
+MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound above the norm, tried in this order until a bound is proved
+# bounds that are tried if the norm is nearly zero, relative to the gain that the size of the matrices suggests
 SMALL = (1e-9, 1e-6, 1e-3)
-ADDED_NOISE = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a fraction of the margin: small, but larger than rounding errors
-# noise added on every state so that X > 0, relative to the power of the disturbance
+# power of the noise that is added to Bw Bw', as a fraction of the margin: small, but larger than rounding errors
+ADDED_NOISE = (1e-1, 1e-3, 1e-6)
+# power of the noise that is added to every state so that X > 0, relative to the power of the disturbance
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)
-# larger margins, tried if rounding prevents a proof closer to the norm, for example if large states cancel in z
+# larger relative distances of the bound above the norm, tried if rounding prevents a closer proof, for example if large states
+# cancel in z
 LOOSE = (1.0, 10.0, 100.0)
-# for LOOSE: noise relative to the power of z, larger on states that are less observable in z
+# power of the noise that is added to the states if a margin of `LOOSE` is tried, relative to the power of z. States that are
+# less observable in z receive more noise
 LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)
-UNOBSERVABLE = 1e-14  # observability relative to the most observable state; smaller values are rounding errors
+# a state whose observability, relative to the most observable state, is smaller than this counts as unobservable
+UNOBSERVABLE = 1e-14
 
 
 @numerics()
@@ -52,7 +56,7 @@ def certify_tightly(
     plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
-    # If the peak is near z = -1, the loop is mapped so that z = -1 becomes 0 instead of infinity. At infinity, the weight of
+    # If the peak is near z = -1, the loop is mapped so that z = -1 becomes 0 instead of infinity. At infinity, the weight in
     # the Riccati equation would be singular.
     near_nyquist, step = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
     loop = FEATURES.load("discrete plants").continuous_loop(plant.closed_loop(G), turned=near_nyquist)

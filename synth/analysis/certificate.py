@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
 
-# the class LowerBound itself is imported only where it is used
+# The module of the class LowerBound is imported only where the class is used.
 _BOUND = "a lower bound, such as synth.find_lower_bound returns or None"
 KnownBound = Annotated[
     "LowerBound | None", Must(_BOUND, lambda one: one is None or type(one).__name__ in ("LowerBound", "LaterBound"))
@@ -103,7 +103,7 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
     n, m = plant.B.shape
     (system, of_plant), (gain, of_gain), (whole, of_X) = integers(plant.system_matrix), _gain(G), integers(X)
     eta_top, eta_bottom = float(eta).as_integer_ratio()
-    # variables `of_...` and `over_...` are the denominators of a matrix, or of the terms that contain X or eta
+    # The variables `of_...` and `over_...` are common denominators: of a matrix, or of the terms that contain X or eta
     of_loop = of_plant * of_gain
     loop = system[:, :n] * of_gain + product(system[:, n : n + m], gain)
     F = product(loop, whole)
@@ -128,9 +128,12 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
     return product(gain, rows), of_gain * of_rows
 
 
-FASTEST = 100.0  # a loop whose fastest pole exceeds this multiple of the plant's speed needs faster actuators than usual
-SLOWEST = 1e-7  # slowest useful decay, as a multiple of the plant's speed: 1 s compared with 100 days
-BELOW = 1e-9  # rounding may put a computed norm below the lower bound by this relative amount
+# a warning appears if the fastest pole of the loop exceeds this multiple of the plant's speed, because the actuators must then
+# be unusually fast
+FASTEST = 100.0
+# slowest decay rate that is useful, as a multiple of the plant's speed: a decay over 100 days in a plant that moves within 1 s
+SLOWEST = 1e-7
+BELOW = 1e-9  # relative amount by which rounding may put a computed norm below its lower bound
 # allowed relative difference between the norms of the two methods; about 1e-12 for a well-conditioned plant
 ROUTES_AGREE = 1e-6
 # allowed relative difference between the norm and the gain at the claimed peak; near a peak, the gain is flat

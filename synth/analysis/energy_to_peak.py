@@ -25,9 +25,10 @@ from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Feedback, Plant, check_continuous, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-# noise added on every state so that the inequality is strict, relative to the power of the disturbance
+# power of the noise that is added to every state so that the inequality is strict, relative to the power of the disturbance
 ABOVE = (1e-12, 1e-9, 1e-6, 1e-3)
-HIGHER = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of `bound_together` above the computed peak, tried in this order
+# relative distances above the computed peak at which `bound_together` tries to prove a bound, in this order
+HIGHER = (1e-12, 1e-9, 1e-6, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,4 +128,5 @@ def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -
         margin[np.arange(len(c)), np.arange(len(c))] += limit.numerator * scale
         if definiteness(floats(margin, Fraction(1, scale * limit.denominator))).proved:
             return bounds, bound
-    return bounds, root_above(sum((Fraction(int(square[i, i]), scale) for i in range(len(c))), Fraction(0)))  # the trace
+    # trace of the matrix
+    return bounds, root_above(sum((Fraction(int(square[i, i]), scale) for i in range(len(c))), Fraction(0)))

@@ -41,13 +41,16 @@ from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near
 from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
-STEPS = 3  # Newton steps from the given approximation of a zero
-SAFE = 4.0  # multiple of the rounding error of a real sum of products; also covers complex products and norms of matrices
-# Relative distances of the proved bound below the best bound in floats; they leave room for the errors of the enclosures
+STEPS = 3  # number of Newton steps that improve the approximation of a zero
+# factor on the rounding error of a real sum of products, so that the error bound also covers complex products and matrix norms
+SAFE = 4.0
+# Relative distances of the proved bound below the best bound in floating point. The distances leave room for the errors of the
+# enclosures
 SHORT = (1e-9, 1e-6, 1e-3)
 TINY = 1e-60  # smallest gamma of the search; the largest is 1 / TINY
 SEED = 20261122
-NEARLY = 1e-6  # relative size below which a singular value may be zero at the exact position of the zero
+# a singular value below this multiple of the largest one counts as zero, because the position of the plant's zero is rounded
+NEARLY = 1e-6
 APART = 1e-6  # if the relative distance of two zeros is smaller, only the first zero is used
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # zeros from u to z, and zeros from w to y [rad/s]
@@ -69,7 +72,7 @@ class Node(NamedTuple):
     radii: tuple[float, float, float]
 
 
-@np.errstate(all="ignore")  # infinities and NaN prove nothing
+@np.errstate(all="ignore")  # infinities and NaN lead to no proof
 def zero_limit(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
@@ -90,12 +93,12 @@ def zero_limit(
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    # compute the bound again from these approximations alone, because a later check of the proof starts from them
+    # The bound is computed again from these approximations alone, because a later check of the proof also starts from them.
     near = best[1]
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
 
-@np.errstate(all="ignore")  # infinities and NaN prove nothing
+@np.errstate(all="ignore")  # infinities and NaN lead to no proof
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     """Returns the lower bound on the norm that the zeros near the given points prove; 0 if no zero can be enclosed."""
     left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))
@@ -214,14 +217,14 @@ def _enclosed_near(side: _Pencil, near: complex) -> Node | None:
             moved = R @ residual
             v, s = v - moved[:-1], complex(s - moved[-1])
         R, residual, derivative = _newton(side, rows, target, v, s)
-    except np.linalg.LinAlgError:  # a double zero, or a singular pencil
+    except np.linalg.LinAlgError:  # the zero is a double zero, or the pencil is singular
         return None
     unit = SAFE * (k + a + 4) * np.finfo(float).eps
     terms = (np.abs(Q).T + abs(s) * np.abs(U).T) @ np.abs(v), np.abs(rows) @ np.abs(v) + np.abs(target)
     rounding = unit * np.concatenate(terms)
     size, curvature = (1 + unit) * float(np.linalg.norm(R)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    # The derivative is rounded, too: its entries are rounded, and digits cancel in Q - s U and U' v.
+    # The derivative has rounding errors, too: its entries are rounded, and digits cancel in Q - s U and U' v.
     slopes = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * curvature
     contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * slopes
     radius = radius_of_solution(first, contraction, size * curvature)

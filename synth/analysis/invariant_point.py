@@ -27,13 +27,17 @@ from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Plant, check_continuous
 from synth.plant.units import own_units
 
-PEAKS = 6  # number of local maxima that are refined
-NEGLIGIBLE = 1e-10  # relative size below which a singular value of Gu counts as zero in the floating-point estimate
+PEAKS = 6  # number of local maxima from which the search is refined
+# a singular value of Gu below this multiple of the largest one counts as zero in the floating-point estimate
+NEGLIGIBLE = 1e-10
 AWAY = 1e-9  # relative distance by which a frequency is moved away from a pole on the imaginary axis
-FURTHER = 10.0  # factor on AWAY if the matrix is still singular at this distance, for example near a multiple pole
-ENOUGH = 1e-9  # an estimate is not tried if it increases the best proved bound by less than this relative amount
+# factor that increases `AWAY` if the matrix is still singular at this distance, for example near a multiple pole
+FURTHER = 10.0
+ENOUGH = 1e-9  # an estimate is tried only if it exceeds the best proved bound by at least this relative amount
 UNCHANGED_NORM = (
-    1e-3  # relative difference below which the norm without control counts as equal to the limit; far larger than rounding
+    # the norm without control counts as equal to the limit if their relative difference is smaller than this; rounding errors
+    # are far smaller
+    1e-3
 )
 
 
@@ -51,7 +55,7 @@ def invariant_limit(plant: Plant) -> tuple[float, float] | None:
     tops = np.flatnonzero((norms[1:-1] >= norms[:-2]) & (norms[1:-1] >= norms[2:])) + 1
     tops = np.unique([*tops[np.argsort(norms[tops])[-PEAKS:]], norms.argmax()])
     middle, height, width = omega[tops], norms[tops], omega[1] / omega[0] - 1
-    for _ in range(9):  # refines all of the highest points together
+    for _ in range(9):  # all of the highest points are refined together
         near = middle * (1 + width * np.linspace(-1, 1, 11)[:, None])
         norms = largest_singular_values(_invariant_part(plant, near.ravel())).reshape(near.shape)
         highest = norms.argmax(axis=0)
@@ -70,7 +74,7 @@ def limit_at(plant: Plant, omega: float) -> float:
     return proof_at(plant, omega)[0]
 
 
-@np.errstate(all="ignore")  # infinities and NaN prove nothing
+@np.errstate(all="ignore")  # infinities and NaN lead to no proof
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
     """Returns the norm of `limit_at` and the pair (q, p) that proves it.
 
@@ -218,7 +222,7 @@ def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
     try:
         both = plant.unchecked(Bw=np.hstack([plant.Bw, plant.B]), Dw=np.hstack([plant.Dw, plant.D]))
         from_w, from_u = np.split(both.frequency_response(omega), [plant.Bw.shape[1]], axis=2)
-    except np.linalg.LinAlgError:  # the frequency is numerically equal to a pole
+    except np.linalg.LinAlgError:  # the frequency is equal to a pole, up to rounding
         return _invariant_part(plant, _off_poles(plant, omega, away), FURTHER * away)
     columns = np.linalg.norm(from_u, axis=1, keepdims=True)
     directions, sizes, _ = np.linalg.svd(from_u / np.where(columns > 0, columns, 1.0), full_matrices=False)

@@ -40,9 +40,11 @@ if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
 
 
-SHRINK = (1e-9, 1e-6, 1e-3)  # relative reductions of the best V12, tried in this order until V is proved positive definite
-SAFE = 4.0  # multiple of the rounding error of a sum of products
-# factor that rounds down by more than the dozen operations that compute the largest eigenvalue can round up
+# relative reductions of the best V12, tried in this order until V is proved to be positive definite
+SHRINK = (1e-9, 1e-6, 1e-3)
+SAFE = 4.0  # factor on the rounding error of a sum of products
+# factor that rounds a value down. The reduction exceeds the rounding errors of the dozen operations that compute the largest
+# eigenvalue
 DOWN = 1 - 2.0**-45
 
 
@@ -166,7 +168,7 @@ class _Dual:
     Y: Array
 
 
-@np.errstate(all="ignore")  # infinities and NaN prove nothing
+@np.errstate(all="ignore")  # infinities and NaN lead to no proof
 def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
     """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if they are not finite.
 

@@ -31,19 +31,21 @@ from synth.analysis.stability import balance, stability, stability_of_balanced
 from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
-ZOOMS = 6  # tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
-CLOSE_ZOOMS = 8  # tenfold refinements with twice the precision; the gain is then accurate to 1e-16
+# number of tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
+ZOOMS = 6
+CLOSE_ZOOMS = 8  # number of tenfold refinements with twice the precision; the gain is then accurate to 1e-16
 WITHIN = 1e-4  # frequency step for fitting a parabola to a peak, relative to the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
-ALIKE = 1e-9  # largest error of the modal form, relative to the largest gain, for which it may propose frequencies
+ALIKE = 1e-9  # the modal form may propose frequencies if its error is below this multiple of the largest gain
 
 
 def largest_singular_values(T: Array) -> Array:
     """Returns the largest singular value of each of F matrices, T of shape (F, d, r), as an array of shape (F,)."""
     if 1 in T.shape[1:]:
-        return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # the singular value of a vector is its length
+        # the singular value of a vector is the length of the vector
+        return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))
     square = _smaller_square(T)
-    if square.shape[1] == 2:  # solves a quadratic equation for its larger root, which has no cancellation
+    if square.shape[1] == 2:  # the quadratic equation is solved for its larger root, for which no digits cancel
         a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
         return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
     # squaring the matrix does not reduce the accuracy of its largest singular value
@@ -90,7 +92,7 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     A_low, C_low = beyond[:n], beyond[n:]
     turned = omega[:, None, None]
     shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
-    # The columns of the real parts are followed by the columns of the imaginary parts
+    # The columns of the real parts come before the columns of the imaginary parts
     high, low = np.zeros((2, len(omega), n, 2 * r))
     T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
     for _ in range(MOST_TURNS):
@@ -133,7 +135,8 @@ class Gain:
         own_stability = stability_of_balanced(A)
         self.poles, self.vectors = own_stability.poles, own_stability.vectors
         self.at_infinity = float(np.linalg.norm(self.system.Dw, 2))
-        self.last = (self.system.Dw.size + 4) * np.finfo(float).eps  # relative rounding error of a singular value if T is exact
+        # relative rounding error of a singular value of T, if T itself is exact
+        self.last = (self.system.Dw.size + 4) * np.finfo(float).eps
         self.stable = own_stability.stable
         on_axis = np.abs(np.imag(self.poles[own_stability.on_axis]))
         on_axis = on_axis[(on_axis >= low) & (on_axis <= high)]
@@ -211,7 +214,8 @@ class Gain:
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
-        if at > 0 and at in (self.low, self.high):  # the gain at the end of the interval is exact; peaks outside do not count
+        # the gain at the end of the interval is exact; peaks outside the interval do not count
+        if at > 0 and at in (self.low, self.high):
             return self.grid_error(at)
         step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
         (below, here, above), _ = self.at_double_double(np.array([at - step, at, at + step]))
@@ -340,7 +344,7 @@ def by_both_routes(gain: Gain) -> Norm:
     ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
     ends, grid_error = ends[np.isfinite(ends)], gain.grid_error
     rounding = gain.rounding(ends)
-    if rounding > SEEN * max(sweep, level):  # this bound is often far too large, so the rounding error is measured
+    if rounding > SEEN * max(sweep, level):  # this error bound is often far too large, so the rounding error is measured
         rounding, grid_error = gain.rounded(ends), gain.missed_closely
     if rounding > SEEN * max(sweep, level):
         (sweep, at_sweep), (level, at_level) = gain.refined_peak(at_sweep), gain.refined_peak(at_level)
@@ -399,7 +403,7 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
     best, at = gain.or_at_infinity(*gain.climb(omega[highest], width[highest]))
     if best == 0.0:
         return 0.0, 0.0
-    for _ in range(100):  # converges quadratically, in 1 to 3 iterations
+    for _ in range(100):  # the iteration converges quadratically, in 1 to 3 steps
         proposed, apart = proposals(gain, best * (1 + EXACT))
         gains = gain.about(proposed)
         if gain.at(proposed[[gains.argmax()]])[0] <= best * (1 + EXACT):
@@ -432,7 +436,7 @@ def level_crossings(system: Plant, level: float) -> Array:
     n, (d, r) = len(A), Dw.shape
     through = bool(Dw.any())
     if not through or level > CLEAR * np.linalg.norm(Dw, 2):
-        # Hamiltonian matrix; w and z are eliminated
+        # Hamiltonian matrix of the loop, from which w and z are eliminated
         into, out, moved = Bw / level, C, A
         if through:
             size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
@@ -443,9 +447,9 @@ def level_crossings(system: Plant, level: float) -> Array:
         hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:
-        # Pencil with w and z as unknowns. Eliminating w and z would be singular if the level equals the gain at infinity. The
-        # errors of the eigenvalues grow with the largest entry, so units of time, states and z (powers of two) give the entries
-        # similar sizes.
+        # The pencil keeps w and z as unknowns. Eliminating w and z would be impossible if the level equals the gain at
+        # infinity. The errors of the eigenvalues grow with the largest entry. The units of time, states and z are therefore
+        # powers of two that give the entries similar sizes.
         rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
         of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
@@ -457,11 +461,11 @@ def level_crossings(system: Plant, level: float) -> Array:
         pencil[2 * n : 2 * n + d, 2 * n : 2 * n + r], pencil[2 * n + d :, 2 * n + r :] = Dw, Dw.T
         pencil[2 * n : 2 * n + d, 2 * n + r :], pencil[2 * n + d :, 2 * n : 2 * n + r] = -level * np.eye(d), -level * np.eye(r)
         dynamic = np.diag([1.0] * 2 * n + [0.0] * (r + d))
-        with np.errstate(divide="ignore", invalid="ignore"):  # eigenvalues at infinity divide by zero
+        with np.errstate(divide="ignore", invalid="ignore"):  # computing eigenvalues at infinity divides by zero
             eigenvalues = linalg.eigvals(pencil, dynamic)
         eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
     proposed = np.imag(eigenvalues)
-    # eigenvalues are conjugate pairs, so the positive imaginary parts suffice
+    # The eigenvalues are conjugate pairs, so the positive imaginary parts are sufficient
     return np.append(0.0, np.sort(proposed[proposed > 0]))
 
 
@@ -495,7 +499,7 @@ def by_sweep(gain: Gain) -> tuple[float, float]:
     gains = gain.about(omega)
 
     start = np.array([gains.argmax()])
-    # A local maximum far below the best grid point cannot be the peak.
+    # A local maximum far below the best grid point cannot be the highest peak.
     inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * gains[start])) + 1
     tops = np.unique(np.concatenate([start, inner]))
     padded = np.concatenate([omega[:1], omega, omega[-1:]])

@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from synth.analysis.sampled_loop import SampledDataProblem
 
 
-# keys of the lower bound, for controllers of any order, on the gain of a sampled-data loop
+# keys of the lower bound on the gain of a sampled-data loop; the bound holds for controllers of any order
 SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"
-VEHICLE = "vehicle"  # key of the vehicle's numbers at the time of the certificate, by section of the vehicle file
+VEHICLE = "vehicle"  # key of the numbers that the vehicle file contained when the certificate was made, by section of the file
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF, VEHICLE)
 LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 # limits for the magnitude of numbers in a certificate, in SI units; the numbers of vehicles are far within these limits
 SMALLEST, LARGEST = 1e-60, 1e60
-SAME = 1e-9  # relative difference that rounding on another machine may cause
+SAME = 1e-9  # relative difference that rounding may cause between two computers
 
 
 def to_record(certificate: Certificate) -> dict[str, Any]:

@@ -130,7 +130,7 @@ class Nullspace:
         Phi = zeros(self._rows.shape[1], values.shape[1])
         Phi[self.free] = self._last * values * (self._shift.max(initial=1) // self._shift[self.free])[:, None]
         for row, j in zip(self._rows[::-1], self.pivots[::-1], strict=True):
-            Phi[j] = -product(row[None], Phi)[0] // row[j]  # the division has no remainder, by Cramer's rule
+            Phi[j] = -product(row[None], Phi)[0] // row[j]  # by Cramer's rule, this division has no remainder
         return Phi * self._shift[:, None]
 
 
@@ -172,12 +172,13 @@ def root_above(square: Fraction) -> float:
     return float(np.nextafter(np.nextafter(float(square) ** 0.5, np.inf), np.inf)) if square > 0 else 0.0
 
 
-UNIT = np.finfo(float).eps / 2  # unit roundoff
+UNIT = np.finfo(float).eps / 2  # unit roundoff of double precision
 SMALLEST = (
-    # Lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all entries. Values outside may underflow or overflow
+    # Lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all entries. Products of entries outside these limits
+    # may underflow or overflow
     1e-200
 )
-TINY = 1e-100  # larger than the sum of all underflows of one proof, if the diagonal entries are near 1
+TINY = 1e-100  # more than the sum of all underflow errors in one proof, if the diagonal entries are near 1
 
 
 @dataclass(frozen=True)
@@ -218,12 +219,13 @@ def definiteness(M: Array) -> Definiteness:
     """
     k = len(M)
     diagonal = np.diagonal(M)
-    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # this condition also rejects NaN
+    # this condition is also false if the value is NaN
+    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):
         return Definiteness(np.nan, np.nan, False)
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling causes no rounding error
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # the scales are powers of two, so that scaling causes no rounding error
     M = M * scale * scale[:, None]
-    # Sum of the rounding errors of the entries and of the decomposition. The sum is doubled, because libraries multiply by
-    # reciprocals instead of dividing, and because the sum itself is rounded.
+    # Sum of the rounding errors of the entries and of the decomposition. The sum is doubled for two reasons: libraries multiply
+    # by reciprocals instead of dividing, and the sum itself is rounded.
     entries = UNIT * float(np.abs(M).sum(axis=1).max(initial=0.0))
     decomposition = (k + 5) * UNIT * float(np.trace(M))
     shift = 2 * (entries + decomposition) + TINY
@@ -244,9 +246,10 @@ def definite_beyond(M: Array, lost: Array) -> bool:
     """
     M = (M + M.swapaxes(-1, -2)) / 2
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)
-    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # this condition also rejects NaN
+    # this condition is also false if the value is NaN
+    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):
         return False
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling causes no rounding error
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # the scales are powers of two, so that scaling causes no rounding error
     across = scale[..., :, None] * scale[..., None, :]
     M, lost, k = M * across, lost * across, M.shape[-1]
     shift = 2 * (lost.sum(axis=-1).max(axis=-1) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)) + TINY

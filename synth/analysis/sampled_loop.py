@@ -41,8 +41,8 @@ from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
 from synth.plant.state_space import StateSpace
 
-SHORT = 0.5  # norm of H times the short time; S22 then differs from I by at most 0.65, so it is invertible
-TERMS = 14  # number of terms in the series of S; the next term is 0.5^15 / 15!, which is below 1e-16
+SHORT = 0.5  # largest norm of H times the short time; S22 then differs from I by at most 0.65, so it is invertible
+TERMS = 14  # number of terms in the series of S; the first omitted term is 0.5^15 / 15!, which is below 1e-16
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +80,11 @@ class LiftedPlant:
         The result is None if the gain within the combined interval is at least the level.
         """
         product = self.BdBd @ later.CdCd
-        # No eigenvalue exceeds the norm, and the norm is cheap, so the norm is tried first.
+        # No eigenvalue exceeds the norm, and the norm is fast to compute, so the norm is tried first.
         if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
             return None
-        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))  # M - I and M Bd1 Bd1'
+        # the matrices M - I and M Bd1 Bd1'
+        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))
         between, reached = more[:, : len(product)], more[:, len(product) :]
         first, second = self.Ad, later.Ad
         increment = self.increment + later.increment + later.increment @ self.increment + second @ between @ first
@@ -141,7 +142,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
     H = np.block([[A, driven], [-seen, -A.T]])
     doublings = max(0, math.ceil(math.log2(max(duration * float(np.linalg.norm(H, 1)) / SHORT, 1e-300))))
     step = duration / 2**doublings * H
-    change = step  # S - I, computed from its series
+    change = step  # the matrix S - I, computed from the series of S
     for term in range(TERMS, 1, -1):
         change = step + step @ change / term
     inverse = np.linalg.inv(np.eye(n) + change[n:, n:])
@@ -170,7 +171,8 @@ def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, A
     if driven and seen:
         scale[:n] *= math.sqrt(driven / seen)
     largest = max(float(np.linalg.norm(A[:n, :n] * scale[:n] / scale[:n, None])), float(np.sqrt(driven * seen)))
-    for i in range(n, len(A)):  # the unit of a held input is so small that its entries do not exceed the other entries
+    # the unit of a held input is chosen so small that the input's entries do not exceed the other entries
+    for i in range(n, len(A)):
         size = max(float(np.linalg.norm(A[:n, i] / scale[:n])), float(np.linalg.norm(C[:, i])))
         scale[i] = largest / size if size else 1.0
     return A * scale / scale[:, None], Bw / scale[:, None], C * scale, scale
@@ -258,8 +260,8 @@ class SampledLoop(CheckedFields):
         """Returns the sampled-data loop of a static gain, or of a discrete control law with k states.
 
         Args:
-            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In y, u is the force just
-                before a sample.
+            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e. In this
+                equation, u is the force just before the sample at which y is measured.
             law: matrix [D, C; B, A] of the law, shape (m + k, q + k); for k = 0, the gain itself.
             pieces: parts of the sample period, in order of time.
             noise: matrix from the noise to the measurements, shape (q, j); j may be 0.
@@ -390,7 +392,7 @@ class SampledLoop(CheckedFields):
         forces = [self.K * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
         start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
         matrix = np.empty((len(angles), known, known), dtype=complex)
-        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, computed without cancellation
+        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # the value zeta - 1, computed without cancellation
         matrix[:, :n] = step[:, None, None] * np.eye(n, known) - increment[:n] @ start
         matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.A_register - self.B_register @ forces[-1]
         return matrix, start
@@ -476,10 +478,11 @@ class SampledDataProblem:
         lifted_loop = lift_plant(self.plant, intervals, gamma)
         if lifted_loop is None:
             return None
-        start = np.zeros((n + count * m, n + (k + 1) * m))  # maps the states and the new force to [x; acting forces]
+        # this matrix maps the states and the new force to [x; acting forces]
+        start = np.zeros((n + count * m, n + (k + 1) * m))
         start[:n, :n] = np.eye(n)
         for i, piece in enumerate(self.pieces):
-            acts = n + ((piece.delay_samples or k + 1) - 1) * m  # the new force has the last columns
+            acts = n + ((piece.delay_samples or k + 1) - 1) * m  # the last columns belong to the new force
             start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
         moved = np.zeros((n + k * m, n + (k + 1) * m))
         moved[:n] = lifted_loop.Ad[:n] @ start

@@ -29,12 +29,12 @@ from synth.analysis.specification import ABOVE, BELOW, SampledNorm
 from synth.analysis.stability import balance, sampled_growth
 from synth.plant.generalized import Plant
 
-DEGREE = 3  # degree of the polynomials
-FEWEST, MOST = 4, 64  # limits for the initial number of parts into which each hold interval is divided
-LONGEST = 1.0  # largest length of a part, as a multiple of 1 / (fastest rate of the plant)
-NODES = 12  # number of nodes of a quadrature; its error for exp(2 t), the worst integrand, is 1e-30
+DEGREE = 3  # degree of the polynomials in a part of a hold interval
+FEWEST, MOST = 4, 64  # smallest and largest initial number of parts into which each hold interval is divided
+LONGEST = 1.0  # largest length of a part of a hold interval, as a multiple of the time constant of the plant's fastest rate
+NODES = 12  # number of nodes of a quadrature; for exp(2 t), the least accurate integrand, the error is 1e-30
 MOST_COLUMNS = 1200  # largest number of columns of the matrix; a larger matrix would take seconds
-SHORT = 1e-7  # a lower bound this close to the norm, in relative terms, is not refined
+SHORT = 1e-7  # a lower bound within this relative distance of the norm is not refined further
 
 
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
@@ -64,7 +64,8 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     n = len(plant.A)
     width = n + len(loop.input_selections) * len(loop.K)
 
-    # The current [x; held inputs] is `free` times the values at the sample, plus `forced` times all polynomials so far
+    # The current [x; held inputs] is `free` times the values at the sample, plus `forced` times the coefficients of all
+    # polynomials so far
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
     for duration, acting in loop.input_selections:
@@ -101,8 +102,8 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)
-    # w is the first of a chain of k integrators. The initial values of the integrators are the derivatives of w, in units of
-    # the part's length.
+    # w is the first signal of a chain of k integrators. The initial values of the integrators are the derivatives of w, in
+    # units of the part's length.
     derivatives = np.zeros((k, k))
     for j in range(k):
         polynomial = legendre.Legendre.basis(j, domain=[0, 1]) * math.sqrt((2 * j + 1) / h)
@@ -111,7 +112,7 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     larger[:size, :size], larger[:size, size : size + r] = A, Bw
     larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
     seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
-    # Over a short time, z is nearly a polynomial, and the quadrature gives its energy exactly. Then the time is doubled
+    # Over a short time, z is nearly a polynomial, so the quadrature gives the energy of z exactly. The time is then doubled
     # repeatedly.
     doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
     short = h / 2**doublings
@@ -133,9 +134,9 @@ def _small(root: Array) -> Array:
 
 CLOSE = 1e-11  # a gain within this relative distance of 1 counts as 1
 ROUNDS = 100  # largest number of iterations of a search; most searches need fewer than ten
-ZOOMS = 4  # sevenfold refinements of the interval around a peak, before the level crossings are computed
+ZOOMS = 4  # number of sevenfold refinements of the interval around a peak, before the level crossings are computed
 NOTHING = 1e-15  # a gain below this multiple of the first level counts as zero
-AT_ONCE = 4096  # number of frequencies that are computed together; more would need hundreds of megabytes
+AT_ONCE = 4096  # number of frequencies that are computed together; a larger number would need hundreds of megabytes
 
 
 @one_thread()

@@ -9,8 +9,10 @@ import numpy as np
 from models.common.printed import digits, finite
 from models.document.field import Field
 
-SAMPLED_NORM = "sampled_norm"  # key of the sampled-data loop's norm in records; checked if the file describes an implementation
-ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"  # for weighted uncertainties
+# key of the norm of the sampled-data loop in records; the norm is checked if the file describes an implementation
+SAMPLED_NORM = "sampled_norm"
+# this part holds only for weighted uncertainties
+ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"
 SAME = 1e-9  # relative tolerance for rounding when a value is compared with its limit
 
 
@@ -78,8 +80,8 @@ class Specification:
         }
 
 
-FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")  # frequency of a peak or a crossover
-ABOVE, BELOW = 1e-8, 1e-9  # distances of the levels above and below the norm, relative to the norm
+FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")  # frequency of the peak or of the crossover
+ABOVE, BELOW = 1e-8, 1e-9  # relative distances of the two levels above and below the norm
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
-FAR = 1e3  # multiple of the first-order rounding error; a pole that is farther from the axis is not on the axis
-LARGE, SEVERAL = 64, 8  # if the numbers of states and of points exceed these limits, a Schur form saves time
+FAR = 1e3  # a pole counts as off the axis if its distance from the axis exceeds this multiple of the first-order rounding error
+LARGE, SEVERAL = 64, 8  # numbers of states and of points above which a Schur form saves time
 PART = 400  # largest number of rows in a part of the Schur form; the bound is too weak for larger parts
 
 
@@ -135,8 +135,8 @@ def sampled_growth(Phi: Array) -> float:
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
-    # Poles outside the unit circle are checked first. If one of them is outside by more than rounding, the hundreds of poles
-    # that a delay can add need no check.
+    # Poles outside the unit circle are checked first. If one pole is outside by more than a rounding error, the hundreds of
+    # poles that a delay can add need no check.
     outside = size > 1
     on_circle = _on_circle(Phi, poles, conditions, outside)
     if np.any(outside & ~on_circle):
@@ -184,7 +184,7 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
         return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
     poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
     with np.errstate(divide="ignore", over="ignore"):
-        conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # eigenvectors have length 1
+        conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # each eigenvector has length 1
     order = np.lexsort((np.imag(poles), np.real(poles)))
     return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)
 
@@ -198,9 +198,9 @@ def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
     """Returns a mask, shape (n,), of the eigenvalues of a balanced matrix that rounding could move to the given points."""
     allowed = rounding(A)
-    # The condition number bounds the movement of a pole to first order. Poles that are much farther away are skipped.
+    # The condition number limits how far a pole can move, to first order. Poles that are much farther away are skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
-    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # the result is the same for conjugate points
+    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # conjugate points give the same result
     known = _nearly_singular(A, dict.fromkeys(pairs), allowed)
     mask = np.zeros(len(A), dtype=bool)
     mask[near] = [known[pair] for pair in pairs]
@@ -214,7 +214,7 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
     its imaginary part.
     """
     points = list(points)
-    # A delay adds many states. In this case, a Schur form is computed once, so that a bound at each point takes far less time.
+    # A delay adds many states. A Schur form is therefore computed once, so that the bound at each point takes far less time.
     schur = len(A) > LARGE and len(points) > SEVERAL
     inverse_size = _Triangle(A).inverse_size if schur else lambda p: float(np.linalg.norm(np.linalg.inv(A - p * np.eye(len(A)))))
 
@@ -281,8 +281,8 @@ def beside_weights(plant: Plant, A: Array) -> Array:
     return A[np.ix_(own, own)] if plant.weights else A
 
 
-ZERO = 1e-12  # a sum smaller than this multiple of the sum of its terms' magnitudes counts as zero
-UNCONTROLLABLE = 1e-8  # an input whose relative effect on a mode is smaller does not control the mode
+ZERO = 1e-12  # a sum counts as zero if it is smaller than this multiple of the sum of the magnitudes of its terms
+UNCONTROLLABLE = 1e-8  # an input whose relative effect on a mode is smaller than this does not control the mode
 
 
 def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:

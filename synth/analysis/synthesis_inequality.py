@@ -54,9 +54,9 @@ from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power
 
 GROWTH = 1e-9  # a mode counts as growing if its real part, relative to |A|, exceeds this value
-AXIS = 1e-9  # a zero counts as lying on the axis if its real part, relative to the largest zero, is below this value
+AXIS = 1e-9  # a zero counts as lying on the imaginary axis if its real part, relative to the largest zero, is below this value
 STEPS = 3  # number of Newton steps
-SAFE = 4.0  # multiple of the rounding error of a sum of products
+SAFE = 4.0  # factor on the rounding error of a sum of products
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +269,7 @@ def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, A
     rounding = unit * np.concatenate([below[0].ravel("F"), below[1].ravel("F")])
     size, bend = (1 + unit) * float(np.linalg.norm(R, 2)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    # The derivative is rounded, too: its entries are rounded, and digits cancel in Q - s U and U' W.
+    # The derivative has rounding errors, too: its entries are rounded, and digits cancel in Q - s U and U' W.
     own, turned = float(np.linalg.norm(W)), float(np.linalg.norm(N))
     shaken = float(np.linalg.norm(derivative)) + k**0.5 * (float(np.linalg.norm(Q)) + bend * (own + turned))
     contraction = float(np.linalg.norm(np.eye(len(R)) - R @ derivative)) + unit * len(R) * size * shaken

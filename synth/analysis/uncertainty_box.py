@@ -24,8 +24,9 @@ from synth.analysis.certificate import bound_of
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness
 from synth.plant.generalized import Plant
 
-MOST = 12  # largest number of uncertain factors; a box then has 4096 corners
-# smallest determinant of a well-posed algebraic loop through the measurements, relative to the largest determinant
+MOST = 12  # largest number of uncertain factors; the box then has 4096 corners
+# smallest determinant, relative to the largest determinant, for which the algebraic loop through the measurements counts as
+# well-posed
 REGULAR = 1e-6
 
 

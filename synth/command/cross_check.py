@@ -19,8 +19,8 @@ from synth.plant.numerics import DesignError
 from synth.plant.units import own_units, reachable, size
 from synth.vehicle.designer import Designer
 
-# Allowed relative difference in gamma. Clarabel stops at an error of eta of 1e-8 relative to entries of X, which may be a
-# thousand times larger.
+# Allowed relative difference between the two values of gamma. Clarabel stops at an error of eta of 1e-8 relative to the entries
+# of X, and these entries may be a thousand times larger than eta.
 TOLERANCE = 1e-5
 
 
@@ -97,7 +97,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         steps is None
         or controller.fallback_method
         or controller.law.states
-        # With filters, the rates in (25) differ so much that the results of Clarabel are inaccurate
+        # With filters, the rates in (25) differ so much that Clarabel's results are inaccurate
         or shared.plant.weights
         or controller.specifications
         or bound is None

@@ -30,13 +30,14 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
 
-# last stage of the progress display: the limit for all controllers, and gains that are not unique
+# last stage of the progress display: computing the limit for all controllers and finding gains that are not unique
 FREE = "limits for every controller"
 MORE = "-v explains the columns and prints poles, notes and laws."
-# Options whose results are printed instead of gains and rides
+# These options print their own results instead of gains and rides
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
-FLAT = 1e-4  # relative increase of gamma; the gain changes that cause at most this increase are printed
-# a ride is called worse if it exceeds the passive ride by more than this factor; rounding hides a smaller difference
+FLAT = 1e-4  # relative increase of gamma that is allowed; the table shows how far each gain may change within this increase
+# a ride is called worse if it exceeds the passive ride by more than this factor; rounding in the table hides smaller
+# differences
 WORSE = 1.005
 RIDE = Field[Row]("expected ride", lambda row: row.ride, ".3g", key="expected_ride", unit="m/s2")
 CHANGE = Field[float]("change", lambda ratio: ratio - 1, "+.0f", 100, unit="%")
@@ -137,7 +138,7 @@ def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages
     stage(f"controller {name}")
     try:
         row = _row(designer, name, options, stage)
-    except InputError as error:  # an error in one section must not hide the other controllers
+    except InputError as error:  # an error in one section must not prevent the results of the other controllers
         if alone:
             raise
         row = Row(name, None, (), (str(error),))
@@ -166,7 +167,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         from synth.command.check import prove_controller
 
         controller, said = prove_controller(designer, controller)
-    # A vehicle without control may be undamped; this is not a failure.
+    # A vehicle without control may be undamped, which is not an error.
     excused = controller.certificate.stability.words if lacks_damping(controller) else ""
     failures = tuple(each for each in controller.failures if each != excused)
     if options.cross_check:
@@ -228,7 +229,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
-        if values[1:].any()  # False for a gain that may not change at all
+        if values[1:].any()  # False if the gain may not change at all
     }
 
 

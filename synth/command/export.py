@@ -27,7 +27,7 @@ from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
 from synth.vehicle.lmi_certificates import certificate_texts
 
-RANGES = (1e-9, 1e9)  # limits for a range, the largest magnitude of a measurement in its SI unit
+RANGES = (1e-9, 1e9)  # smallest and largest allowed range; a range is the largest magnitude of a measurement in its SI unit
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
@@ -172,7 +172,8 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     ]
 
 
-FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, additional files (texts by file name), and documentation
+# the model, the additional files (text by file name), and the documentation
+FmuContent = tuple[FmuModel, Mapping[str, str], str]
 
 
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:

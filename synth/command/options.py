@@ -7,14 +7,14 @@ from pathlib import Path
 from models.common.command import Parser
 from models.common.errors import InputError
 
-MOST_POINTS = 1000  # largest number that a point of the trade-off can have in `--point`
+MOST_POINTS = 1000  # largest number of a trade-off point that `--point` accepts
 AXES_HELP = (
     "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride between "
     "these frequencies [Hz]) and tolerance=10 (the norm of [performance] with measurement errors of 10 %%). Separate axes by "
     "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 15 s, with tolerance 20 s"
 )
 
-ALONE = {  # options that exclude others, each with its effect and the options with which it can be combined
+ALONE = {  # options that exclude other options, each with its effect and with the options that can be combined with it
     "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture", "certificates")),
     "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
     "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),

@@ -11,9 +11,9 @@ from synth.analysis.norm import largest_singular_values
 from synth.command.table import Row
 from synth.controller.report import NORM
 
-SHOWN_BAND = (0.3, 30.0)  # frequency range of the figure [Hz]; the range is wider if goals have bands outside this range
-POINTS = 1500  # number of frequencies
-ROOM = 1.5  # factor by which the figure extends beyond the bands of goals
+SHOWN_BAND = (0.3, 30.0)  # frequency range of the figure [Hz]; a goal whose band lies outside this range extends the range
+POINTS = 1500  # number of frequencies of a curve
+ROOM = 1.5  # factor by which the figure extends beyond the frequency bands of the goals
 
 
 def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
@@ -30,7 +30,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         gains = largest_singular_values(row.controller.loop(vehicle).frequency_response(2 * np.pi * hertz))
         look = style[row.name]
         curves.append(Curve(hertz, gains, row.name, look.color, look.dash))
-        # levels that hold for one vehicle without errors
+        # these levels hold for a single vehicle without gain errors
         proved = {one.what: one.proved for one in row.controller.specifications}
         for norm in _norms(vehicle, row):
             if np.isfinite(level := proved.get(norm.text) or np.inf):

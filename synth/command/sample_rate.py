@@ -28,7 +28,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
         InputError: a period is out of range or given twice, or there are too many periods.
     """
     for rate in rates:
-        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # the condition also detects NaN
+        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # the condition is also true if the value is NaN
             raise InputError(
                 f"--rates {rate:g} ms is not allowed; give sample periods from {1e3 * SHORTEST:g} to {1e3 * LONGEST_PERIOD:g} ms"
             )
@@ -54,7 +54,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         done = stage.counted(f"controller {name}", len(tried), "rates")
         try:
             costs.append(cost(vehicle, designer.design(name), tried, periods, done))
-        except InputError as error:  # an error in one section must not hide the other controllers
+        except InputError as error:  # an error in one section must not prevent the results of the other controllers
             if len(names) == 1 and not isinstance(error, DesignError):
                 raise
             undesigned[name] = str(error)

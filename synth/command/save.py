@@ -78,7 +78,7 @@ def saved_text(
         text = with_sections(
             text, controller_section(vehicle, controller, controller.name + SUFFIX, (sampled_bounds or {}).get(controller.name))
         )
-    parse_vehicle(text, folder=path.parent)  # raises an error if the written text cannot be read
+    parse_vehicle(text, folder=path.parent)  # this call raises an error if the written text cannot be read again
     return text
 
 

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
     from synth.command.fragility import FragilityReport
 
-GAIN_WIDTH = WIDTH - 20  # largest number of characters of a gain in the short answer; longer gains are printed only with -v
+GAIN_WIDTH = WIDTH - 20  # a gain whose text has more characters than this is printed only with `-v`
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
     return "infinite" if value == math.inf else value
 
 
-CERTIFICATE = attrgetter("certificate")  # certificate of a row
+CERTIFICATE = attrgetter("certificate")  # certificate of the row's controller
 CONTROLLER = Field[Row]("controller", lambda row: row.name)
 MEASURES = Field[Row]("measures", lambda row: row.measures.replace("_", " "), detail="full")
 NORM_OR_VERDICT = Field[Row](NORM.label, lambda row: _of_stable_loop(row, NORM), NORM.form)
@@ -153,7 +153,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
     held = Field[Row]("certificate", certificate, detail="full")
     others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
-    if bounded:  # a terminal is too narrow for both these columns and the lower bound of the sampled-data loop
+    if bounded:  # a terminal is too narrow for both these columns and the column with the lower bound of the sampled-data loop
         others = [replace(field, detail="full") for field in others]
     sampled = [*[BUILT_NORM] * (built and not apart), *[LEVEL, ABOVE_LEVEL] * bounded]
     fields = [CONTROLLER, MEASURES, BOUND.of(CERTIFICATE), NORM_OR_VERDICT, *sampled, *others, POLE_OR_VERDICT, held]
@@ -195,7 +195,7 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
     if limit.limit_at is None:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
     lowest, where = f"Limit: no controller has a norm below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
-    if is_pole(plant, limit.limit_at):  # forces may change everything except this mode
+    if is_pole(plant, limit.limit_at):  # the forces may change the whole response except this mode
         return f"{lowest}, as control must stabilise the mode at {where}, which does not decay by itself."
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED_NORM):
@@ -239,7 +239,7 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
     own = without_copies(row.name for row in rows)
     shown = [
         row for row in rows if row.controller is not None and (not row.refined or row.name in own)
-    ]  # copies of a controller are refined to the same gain
+    ]  # copies of the same controller are refined to the same gain
     promised = any(row.controller is not None and row.controller.specifications for row in rows)
     said = []
     for row in shown:
@@ -333,7 +333,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
         *(f"FAILS: {failure}" for failure in failures_of(row)),
     ]
     law, *others = said
-    if law.startswith("gain: "):  # the text of a gain contains the names of its signals
+    if law.startswith("gain: "):  # the printed gain shows the names of its signals
         return Document(f"controller {row.name}, {law}", notes(*others, detail="full"), "full")
     return Document(f"controller {row.name}: measures {row.measures}", notes(*said, detail="full"), "full")
 
@@ -354,12 +354,13 @@ def _hardware(controller: Controller) -> dict[str, Any]:
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 
-EIGENVALUE = Record("smallest", "rounding")  # computed smallest eigenvalue, and the value that it must exceed for a proof
+# the computed smallest eigenvalue, and the value that this eigenvalue must exceed for a proof
+EIGENVALUE = Record("smallest", "rounding")
 LMI = Record[LmiProof](proved="holds", X=EIGENVALUE.all("positive"), minus_20=EIGENVALUE.all("negative"))
 CLAIMS = Record[Certificate](
     Record(routes_gap=lambda one: one.norm.gap if one.stable else None), PEAK, Record("poles"), LOWER_BOUND, GAP
 )
-DESIGN_RECORD = Record[Any](  # JSON object of a row whose design succeeded
+DESIGN_RECORD = Record[Any](  # JSON object for a controller whose design succeeded
     Record("name", measured="controller.measured"),
     lambda row: row.controller.law.record,
     lambda row: _hardware(row.controller),

@@ -19,9 +19,9 @@ from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, MARKED_POINTS, Front, entry_of, front
 from synth.vehicle.trade_off.report import RECORD, describe, front_figure, write_csv
 
-USUAL = "I"  # default controller; the designs use the measurements of this controller
+USUAL = "I"  # default controller; the trade-off is computed with the measurements of this controller
 SHOWN_POINTS = 3  # number of points that the short table shows
-SAVED_NAME = "point"  # part of the name of a saved design, such as I_point_17
+SAVED_NAME = "point"  # part of a saved design's name before the number, as in I_point_17
 
 
 def answer(vehicle: Vehicle, options: Namespace) -> int:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from synth.analysis.specification import Specification
 
 
-SUFFIX = "_designed"  # suffix of the name of a designed controller that becomes a section of a vehicle file
+SUFFIX = "_designed"  # suffix in the name of a designed controller that is saved as a section of a vehicle file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -223,9 +223,10 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
 
 if TYPE_CHECKING:
-    AnyController = Controller | PythonController | SemiActive  # a controller that can control a vehicle
+    AnyController = Controller | PythonController | SemiActive  # this controller can control a vehicle
 else:
-    AnyController = ControlLaw  # base class; the modules of the other classes are imported only where they are used
+    # this is the base class; the modules of the other classes are imported only where these classes are used
+    AnyController = ControlLaw
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:

@@ -43,7 +43,7 @@ def disk_margin(cut: StateSpace) -> DiskMargin:
     """Returns the symmetric disk margin of a cut loop. The closed loop must be stable."""
     inverse, half = np.linalg.inv(np.eye(len(cut.D)) - cut.D), np.eye(len(cut.D)) / 2
     n, k = cut.B.shape
-    # System with x' = A x + B u, u = v + d, and z = u - d / 2.
+    # The system is x' = A x + B u with u = v + d and z = u - d / 2.
     sensitivity = Plant(
         A=cut.loop_matrix(1.0),
         B=np.zeros((n, 1)),

@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # `scipy.special` is imported at its first use, which takes 0.1 s
+import scipy  # `scipy.special` is imported only when it is needed, because the import takes 0.1 s
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
@@ -32,7 +32,7 @@ from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of
 
 CONSISTENT = 1e-6  # the iteration ends if the slopes change by less than this relative amount
-DIRECT = 10  # number of iterations that take full steps
+DIRECT = 10  # number of iterations that take full steps; later iterations take shorter steps
 MOST_ROUNDS = 100
 
 
@@ -102,7 +102,8 @@ def equivalent_line(
             np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + spread)
         ):
             return EquivalentLine(linear, tuple(curves), tuple(signals), deflections, of_line, outputs, rounds)
-        step = 1.0 if rounds < DIRECT else 1 / 4  # full steps can overshoot if a controller nearly cancels a spring
+        # full steps may overshoot if a controller nearly cancels the force of a spring
+        step = 1.0 if rounds < DIRECT else 1 / 4
         slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
     return None
 
@@ -146,6 +147,6 @@ def mean_outputs(vehicle: Vehicle, controller: Controller, deflections: Sequence
     rates = np.zeros(len(closed.A))
     rates[: len(push)] = push @ forces
     means = -closed.C @ np.linalg.lstsq(closed.A, rates)[0]
-    # Velocities and accelerations have zero mean.
+    # Velocities and accelerations have a mean of zero.
     still = {name for name in outputs if vehicle.kind.signal(name).unit not in ("m", "rad", "N")}
     return {name: 0.0 if name in still else float(value) for name, value in zip(outputs, means, strict=True)}

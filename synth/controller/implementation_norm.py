@@ -28,7 +28,7 @@ from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
 from synth.plant.generalized import Plant
 
-# decay per period of the integral from which the mean road velocity is computed; without this decay, the loop would not be
+# decay per period of the integral from which the mean road velocity is computed. Without this decay, the loop would not be
 # stable
 FORGOTTEN = 1e-5
 
@@ -131,9 +131,9 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
-    """Returns the limit of the norm for fast sampling.
+    """Returns the value that the norm approaches for fast sampling.
 
-    This limit is the norm of the continuous loop with actuator lag, from the road alone.
+    This value is the norm of the continuous loop with actuator lag. The road is the only disturbance.
     """
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value

@@ -35,8 +35,8 @@ from synth.controller.loop_of import loop_of
 from synth.plant.state_space import StateSpace
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
-MANY = 3  # largest number of pairs of margins that a sentence lists; if there are more, only the smallest disk margins are listed
-FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # factors that multiply the forces, in steps of 1.7 %
+MANY = 3  # a sentence lists at most this many pairs of margins; if there are more, it lists only the smallest disk margins
+FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # factors by which the forces are multiplied, in steps of 1.7 %
 GAIN = Field[float]("gain", float, ".3g", unit="dB")
 TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
 SHARE = Field[float]("direct feedback", float, ".4g")
@@ -125,7 +125,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
         built = loop_of(vehicle, controller)
         ideal = built if limits == vehicle.limits else loop_of(replace(vehicle, limits=limits), controller)
         direct, loop = built.direct_radius, ideal.cut(ideal.forces)
-        if _growth(loop, np.ones(1))[0] < 0:  # rounding can make a marginal loop look unstable here
+        if _growth(loop, np.ones(1))[0] < 0:  # rounding can make a loop at the stability limit look unstable
             gain = _first_unstable(loop, FACTORS, math.inf)
             gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)
             disk = None if direct and _is_element(vehicle, controller) else disk_margin(loop).size

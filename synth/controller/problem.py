@@ -182,7 +182,7 @@ class Problem:
         (n, r), (k, w) = (len(plant.A), plant.Bw.shape[1]), (of_heights.shape[1], self.rates[1].shape[1])
         C, D = np.eye(len(self.plant.A), n).T @ self.rates[0].T, np.eye(w, r).T @ self.rates[1].T
         K = judged.G.K[:, : len(of_heights)]
-        # If gains cancel, their sum has a rounding error relative to `terms`
+        # If gains cancel, the rounding error of their sum is proportional to `terms`
         read, terms = K @ of_heights, np.abs(K) @ np.abs(of_heights)
         E, F = plant.B @ read, plant.D @ read
         inverse = np.linalg.inv(loop.A)
@@ -382,7 +382,7 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
             )
 
 
-SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its relative size is smaller than this
+SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if it is smaller, relative to the largest, than this
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:

@@ -23,8 +23,10 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
-SAME = 10 * ABOVE  # allowed relative difference of a norm between two machines, based on the distance between its levels
-ROUTES_AGREE = 1e-6  # largest allowed relative difference between a norm and the gain for an actual disturbance
+# allowed relative difference of a norm between two computers; a multiple of the distance between the levels that enclose the
+# norm
+SAME = 10 * ABOVE
+ROUTES_AGREE = 1e-6  # largest allowed relative difference between a norm and the gain that an actual disturbance reaches
 
 
 BOUND = Field[Certificate]("bound", lambda one: one.bound, NORM_DIGITS, key="bound")
@@ -86,7 +88,7 @@ PROOF = Record[SampledNorm](
     reached="reached",
     angle="angle",
     decided_within_a_period="inside",
-)  # the two levels that enclose a finite norm
+)  # two levels that enclose a finite norm
 PROVED_NORM = Record[SampledNorm](
     **{SAMPLED_NORM: lambda norm: norm.value, f"{SAMPLED_NORM}_proof": PROOF.all(lambda norm: norm if norm.stable else None)}
 )
@@ -156,7 +158,8 @@ def false_norm(
     return (f"{claimed}, but it is {NORM_AS_IMPLEMENTED.cell(norm)}{off} with {built_words(vehicle)}",)
 
 
-# if a gain changes by less than this relative amount over the last hundredfold decrease of mu, it is within 1e-4 of its limit
+# a gain counts as within 1e-4 of its limit if it changes by less than this relative amount while mu decreases by the last
+# factor of 100
 SETTLED_CHANGE = 1e-2
 SHORT = 1e-6  # the central path counts as completed if the relative gap in gamma is smaller than this
 
@@ -187,7 +190,7 @@ def named_gain(vehicle: Vehicle, controller: Controller) -> str:
     return "; ".join(rows)
 
 
-MOST_ENTRIES = 8  # largest number of entries of a gain that is printed with signals and units
+MOST_ENTRIES = 8  # a gain with at most this many entries is printed with signals and units
 
 
 def pid_line(controller: Controller) -> str:
@@ -210,7 +213,7 @@ def sign_note(controller: Controller) -> str:
 def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note about road warp, which is a separate disturbance, if it affects the vehicle."""
     count, rate = len(road_twist_inputs(vehicle.linear_model)), rough(vehicle.linear_model.twist_rate)
-    # If the body has a roll or a pitch axis, its weight acts in proportion to the inclination of the road.
+    # If the body has a roll or pitch axis, its weight acts in proportion to the inclination of the road.
     axes = {"roll_centre_height_front": "roll", "roll_centre_height": "roll", "pitch_centre_height": "pitch"}
     felt = [way for parameter, way in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
@@ -244,7 +247,7 @@ IDLE_INTEGRAL = (
     "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
     "integrated signal permanently, or no force uses the integral"
 )
-INTEGRATOR_POLE = 1e-9  # a pole whose relative distance from 0 is smaller belongs to an integrator
+INTEGRATOR_POLE = 1e-9  # a pole belongs to an integrator if its relative distance from 0 is smaller than this
 
 
 def _has_idle_integral(controller: Controller) -> bool:
@@ -271,7 +274,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     return notes
 
 
-# growth rate of a law that is itself unstable [1/s]
+# growth rate of the law itself, if the law is unstable [1/s]
 GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED_KEY)
 
 

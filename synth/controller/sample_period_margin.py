@@ -18,16 +18,17 @@ from models.laws.linear import LinearLaw
 from synth.plant.loop import HoldInterval, Loop
 from synth.plant.state_space import spectral_radius
 
-DECAYS = 1e-9  # a mode counts as not decaying if its decay, relative to the fastest rate of the law, is smaller than this
-FINER = 0.05  # largest angle by which a pole may turn from one tested sample period to the next [rad]
+DECAYS = 1e-9  # a mode counts as undamped if its decay rate, relative to the fastest rate of the law, is smaller than this
+FINER = 0.05  # largest angle by which a discrete pole may turn between two successive tested sample periods [rad]
 TOGETHER = 128  # number of sample periods that are computed together
 MOST_SQUARINGS = 4  # largest number of squarings of a transition matrix to prove that it is a contraction
-# if the norm of a power of the transition matrix is smaller, no eigenvalue reaches the unit circle within one step
+# no eigenvalue can reach the unit circle within one step if a power of the transition matrix has a norm below this value
 CONTRACTS = 0.4
-SHALLOW = 0.2  # a minimum higher than this, relative to the rise of the parabola over one step, does not indicate instability
-SMALL = 1e-3  # accuracy of the position of a minimum, relative to one step
-WIDEST = 1.0  # largest step between sample periods if no pole turns [s]
-LONGEST = 100.0  # longest sample period that is tested if the vehicle does not settle without the loop [s]
+# a minimum does not indicate instability if it is higher than this, relative to the rise of the parabola over one step
+SHALLOW = 0.2
+SMALL = 1e-3  # accuracy with which a minimum is located, relative to one step
+WIDEST = 1.0  # largest step between two tested sample periods if no pole turns [s]
+LONGEST = 100.0  # longest sample period that is tested if the vehicle does not settle without control [s]
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
@@ -72,7 +73,7 @@ def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
     plant, law = loop.plant.part(loop.measured, loop.forces), loop.acting_law
     (n, m), (k, q), C, D = plant.B.shape, law.B.shape, plant.C, plant.D
     held = _powers(np.vstack([np.hstack([plant.A, plant.B]), np.zeros((m, n + m))]), start, step, count)
-    # Computed as in `LinearLaw.sampled`, but the ramp is divided by the period later.
+    # The matrices are computed as in `LinearLaw.sampled`, except that the ramp is divided by the period later.
     chain = np.zeros((k + 2 * q, k + 2 * q))
     chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
     periods = start + step * np.arange(1, count + 1)
@@ -111,7 +112,7 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
     """Returns exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
     by, now = linalg.expm(A * step), linalg.expm(A * start)
     made = np.empty((count, *A.shape))
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable law may overflow in long periods
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable law may overflow if the sample period is long
         for i in range(count):
             now = now @ by
             made[i] = now
@@ -138,11 +139,11 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
     poles = np.linalg.eigvals(cut.A)
     start = 0.0
     while start < LONGEST:
-        alive = np.abs(poles[-poles.real * start < 25])  # the motion of all other poles has decayed to e^-25
+        alive = np.abs(poles[-poles.real * start < 25])  # poles whose motion has not yet decayed to e^-25
         if len(alive) == 0:
             break
-        h = FINER / max(float(alive.max()), FINER / WIDEST)  # the pole of an integrator, at 0, does not turn
-        begun = max(start - 2 * h, 0.0)  # batches overlap, so that minima between them are found
+        h = FINER / max(float(alive.max()), FINER / WIDEST)  # the pole of an integrator is 0, so it does not turn
+        begun = max(start - 2 * h, 0.0)  # batches overlap, so that a minimum between two batches is found
         count = min(TOGETHER, math.ceil((LONGEST - begun) / h))
         products = _products(transitions(part, begun, h, count))
         for i in range(count):
@@ -150,10 +151,12 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
             if products[i] > 0:
                 low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
                 first = _dip(part, first, h, products[i - 1 : i + 2]) if low else None
-            # the loop is unstable, and this is not just a rounding error of the product
+            # the loop is actually unstable, and the sign is not just a rounding error of the product
             if first is not None and growth(first) > 0:
-                before = max(first - h, 1e-3 * h)  # not 0, where every loop is marginal
-                # the loop is far faster than the plant: either rounding, or instability at a shorter period
+                # the period is above 0, because every loop is at the stability limit for a period of 0
+                before = max(first - h, 1e-3 * h)
+                # The loop is far faster than the plant. Either the sign is a rounding error, or the loop is unstable at a
+                # shorter period
                 if growth(before) >= 0:
                     return before
                 refined: Any = optimize.brentq(growth, before, first, xtol=1e-13)

@@ -33,11 +33,14 @@ from synth.controller.sample_period_margin import all_sampled, largest_sample_pe
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-LARGEST_FACTOR = 1e4  # a loop that tolerates this factor counts as having no upper limit, because rounding affects larger factors
+# a loop that is stable with this factor counts as having no upper limit, because rounding affects larger factors
+LARGEST_FACTOR = 1e4
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
-SAME = 1e-6  # relative difference below which two factors count as one; a double eigenvalue has only half of the digits
-ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; they are odd, so that pi is among the angles
-# Largest number of states for the quadratic problem. With more states, its matrix has over 500 rows, and a grid is faster
+# two factors count as equal below this relative difference; a double eigenvalue has only half of the correct digits
+SAME = 1e-6
+ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; the numbers are odd, so that pi is one of the angles
+# Largest number of states for which the quadratic eigenvalue problem is solved. With more states, its matrix has over 500 rows,
+# and searching a grid is faster
 MOST_QUADRATIC = 18
 
 
@@ -177,7 +180,8 @@ def gain_crossings(cut: StateSpace) -> list[float]:
             return float(np.linalg.eigvals(cut.loop_matrix(k)).real.max())
 
     if np.any(cut.D):
-        # A force that appears in its own measurement with the factor k D grows with any delay if k D reaches 1.
+        # If a measurement contains the force itself with the factor k D, the force grows with any delay as soon as k D reaches
+        # 1.
         radius = cut.feedthrough_radius
         turned = 1 / max(radius, 1 / LARGEST_FACTOR) if radius < 1 else math.inf
         changes = _sign_changes(growth, FACTORS)
@@ -191,7 +195,8 @@ def gain_crossings(cut: StateSpace) -> list[float]:
         S, T = (_kronecker_sum(X, X) for X in (closed, M))
         inverses = -np.linalg.eigvals(np.linalg.solve(S, T))
     else:
-        # kron(A + k M, A + k M) must have the eigenvalue 1. With k = 1 + d, this is a quadratic problem in d.
+        # The matrix kron(A + k M, A + k M) must have the eigenvalue 1. With k = 1 + d, this condition is a quadratic eigenvalue
+        # problem in d.
         constant = np.kron(closed, closed) - np.eye(n * n)
         linear, square = np.kron(closed, M) + np.kron(M, closed), np.kron(M, M)
         first, second = np.linalg.solve(constant, linear), np.linalg.solve(constant, square)
@@ -220,7 +225,7 @@ def _balance_loop(cut: StateSpace) -> StateSpace:
 def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
     """Returns crossovers from the quadratic eigenvalue problem in the module docstring."""
     A, M, identity = cut.A, cut.B @ cut.C, np.eye(len(cut.A))
-    # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
+    # The matrix z^2 kron(M, I) + z (A (+) A) + kron(I, M) must be singular.
     S, size = _kronecker_sum(A, A), len(A) ** 2
     eye, zero = np.eye(size), np.zeros((size, size))
     pencil = np.block([[zero, eye], [-np.kron(identity, M), -S]]), np.block([[eye, zero], [zero, np.kron(M, identity)]])
@@ -259,7 +264,7 @@ def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover
         pairs = optimize.linear_sum_assignment(np.abs(before[:, None] - after))
         crossing = np.zeros(len(before), dtype=bool)
         crossing[pairs[0]] = (before[pairs[0]].real > 0) != (after[pairs[1]].real > 0)
-        # Poles whose paths cross may be confused. The poles nearest to the axis are therefore candidates, too.
+        # Poles whose paths cross may be exchanged by mistake. The poles nearest to the axis are therefore candidates, too.
         crossing[np.argsort(np.abs(before.real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]] = True
         crossings += [_refine_crossover(cut, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
     return crossings
@@ -269,7 +274,7 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
     """Returns the exact crossover near a phase lag and a pole; None if the pole only comes close to the axis."""
 
     def nearest(angle: float) -> complex:
-        if not abs(angle - theta) < 1:  # the secant is nearly flat and leads far away
+        if not abs(angle - theta) < 1:  # the secant is nearly horizontal and would lead far away
             return complex(math.nan)
         poles = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
@@ -297,8 +302,8 @@ def _sign_changes(growth: Callable[[float], float], tried: Array) -> list[float]
     """Returns the positive candidates at which the growth rate changes its sign, refined to a relative accuracy of 1e-13."""
     changes = []
     candidates = np.unique(tried[(tried > 1 / LARGEST_FACTOR) & (tried < LARGEST_FACTOR)])
-    # A pair of poles gives the same factor twice, up to rounding. Between these two values, the growth is zero and its sign is
-    # undefined.
+    # A pair of poles gives the same factor twice, with different rounding errors. Between the two values, the growth is zero,
+    # and its sign is undefined.
     candidates = candidates[np.diff(candidates, append=np.inf) > SAME * candidates]
     # The growth changes its sign only at candidates. Halfway between two neighbouring candidates, rounding does not affect the
     # sign.

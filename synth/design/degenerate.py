@@ -29,11 +29,11 @@ INSTEAD = "designed for a disturbance of every state that z contains"
 def regularise_problem(plant: Plant) -> WellPosedProblem:
     """Returns problem (22) of a plant or, if (22) is degenerate, a regularised problem. The result does not depend on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
-        return WellPosedProblem(plant)  # invalid input, which the central path rejects
+        return WellPosedProblem(plant)  # an invalid plant is passed on, because the central path raises the error
     scale, forces = own_units(plant).exact
     step, form = plant.dt or 0.0, plant.differences
     own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
-    unobservable = output_nulling_subspace(own, nothing)[1]  # states unobservable in z without control
+    unobservable = output_nulling_subspace(own, nothing)[1]  # these states are unobservable in z without control
     zero_gain = nothing if is_stable(plant.A, plant.dt) else None
     strength = size(own.Bw) * (plant.dt or 1.0)
     regular = _with_all_outputs(_with_disturbances(plant, strength * np.diag(scale)), own, scale, forces)
@@ -91,7 +91,7 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
                 for pole, vector in zip(poles, vectors.T, strict=True)
                 if abs(pole.real) <= rounding
             ]
-        else:  # here, |1 + dt pole| = 1
+        else:  # each such pole has |1 + dt pole| = 1
             still = [
                 (pole if abs(pole) > rounding else 0.0, vector)
                 for pole, vector in zip(poles, vectors.T, strict=True)
@@ -115,7 +115,7 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
         InfeasibleError: no control force can stabilise the plant; the message describes the mode.
         DesignError: the plant can be stabilised, but the optimal loop is not stable.
     """
-    # without this check, the path would be followed without reaching an optimum
+    # without this check, the search would follow the path without reaching an optimum
     if modes := unobservable_marginal_modes(problem, states):
         if reached_by_none := "; ".join(stabilisability_failures(plant, states)):
             raise InfeasibleError(reached_by_none)

@@ -35,13 +35,14 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
-ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # origin of a lower norm
+# names of the methods that may have found a lower norm
+ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
-NEAR = 1e-3  # the result of the two steps is not refined if its relative distance to the lower bound is smaller than this
-# relative distances between the norm of a state feedback and the lower bound, tried in this order
+NEAR = 1e-3  # a result of the two steps within this relative distance of the lower bound is not refined
+# relative distances of a state feedback's norm above the lower bound, tried in this order
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))
-MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from zero
+MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from a starting gain of zero
 # limits on the entries of a gain, tried in this order until an actuator can follow the poles; as in `fixed_order.py`
 LIMITS = (np.inf, 100.0, 10.0, 3.0)
 

@@ -158,7 +158,7 @@ def design_feedback(
         return _for_goals(problem, plant, rms, goals, family)
     if design is not None:
         check_continuous(plant)
-    if design == "lqg":  # the white noise of LQG is not part of w
+    if design == "lqg":  # LQG also assumes a white noise, which is not part of w
         problem = replace(problem, plant=plant, noise=tuple(rms) if len(rms) else None)
     if design is None and problem.structure is None and order != FULL:
         return _static(problem)

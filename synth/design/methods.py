@@ -21,9 +21,10 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
-FAR = 0.01  # if filters have states, the result of the two steps is sufficient up to this relative distance from the lower bound
+# if the filters have states, the result of the two steps is accepted within this relative distance of the lower bound
+FAR = 0.01
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
-# largest number of states for which a lower bound is computed automatically; with more states, this takes minutes
+# largest number of states for which a lower bound is computed automatically; with more states, the computation takes minutes
 LARGEST_BOUNDED = 20
 
 

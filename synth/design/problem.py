@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from synth.lmi.central_path import CentralPoint
 
 
-SEEN = 1e-6  # relative difference that is visible in a table with seven digits
-LARGEST_GAIN = 1e5  # largest |K_ij| if a search has no other limit
+SEEN = 1e-6  # smallest relative difference that is visible in a table with seven digits
+LARGEST_GAIN = 1e5  # largest magnitude of a gain entry K_ij if the search has no other limit
 # criteria by which designs are compared
 NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"
-TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the methods
-FEW = 4  # a law with more states is shown without its matrices
+TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the two design methods
+FEW = 4  # a law with more states than this is shown without its matrices
 Progress = Callable[[float, bool], None]
 
 

@@ -61,42 +61,43 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import own_units
 
 DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
-WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller than this
-# the search ends if a level lowers the norm by less than this relative amount. The remaining distance is about the square of
-# the last decrease
+WITHIN = 1e-3  # the search ends if the relative distance of the norm above the lower bound is smaller than this
+# The search ends if a new level lowers the norm by less than this relative amount. The remaining relative distance is then
+# about the square of the last decrease
 WORTH = 1e-4
-# largest number of levels: by default, for laws that must themselves be stable (one descent per level), and for `down`
+# Largest number of levels: by default, for laws that must themselves be stable (with one descent per level), and in `down`
 LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8
-# first level of a descent, as a multiple of the lower bound. The norm of the plant of this level exceeds one, so its gradient
-# is useful
+# First level of a descent, as a multiple of the lower bound. At this level, the plant's norm exceeds one, so the gradient of
+# the norm is useful
 NEAR = 1.1
-# factor to the next level if no law is found; the larger factor is used if the law itself must be stable
+# factor from one level to the next if no law is found; the larger factor is used if the law itself must be stable
 HIGHER = {False: 1.01, True: 1.1}
-# largest number of bisections for the lowest level with a solution, and relative accuracy of this level
+# largest number of bisections that find the lowest level with a solution, and relative accuracy of this level
 LOWEST, BRACKETED = 40, 1e-4
-COSTS = (1e-3, 1e-5)  # shares of measurement noise and control cost that are added to the plants in this bisection
-ABOVE = 1e-4  # relative distance of the first level above a lower bound that holds within one period
+COSTS = (1e-3, 1e-5)  # relative amounts of measurement noise and control cost that are added to the plants in this bisection
+ABOVE = 1e-4  # the first level exceeds a lower bound that holds within one sample period by this relative amount
 
-WORTHWHILE_GAIN = 5e-5  # the gain of the two steps is kept if descent lowers the norm by less than this relative amount
-# factors that multiply a known gain, with both signs; a gain of less than a thousandth of the known gain counts as zero
+WORTHWHILE_GAIN = 5e-5  # if descent lowers the norm by less than this relative amount, the gain of the two steps is kept
+# Factors that multiply a known gain, with both signs. A gain below a thousandth of the known gain counts as zero
 SHARES = 2.0 ** -np.arange(11)
-STARTS = 3  # number of the best points on the line from which descents start
+STARTS = 3  # number of points with the lowest norms on the line from which a descent starts
 WORTH_ANOTHER = 1e-3  # the gain of another local minimum is used if it lowers the norm by more than this relative amount
 LITTLE = 1e-2  # a norm within this relative distance of a lower bound is not lowered further
-# largest number of states for which a lower bound and another search are computed; with more states, they take minutes
+# largest number of states for which a lower bound and a second search are computed; with more states, both take minutes
 LARGEST_BOUNDED = 20
-FURTHEST = 5  # number of powers of FAR that are tried as the highest level, relative to an estimate of the norm
-MOST_STATES = 100  # largest number of states of the discrete plant for a descent, which then takes ten seconds
+# the highest level is an estimate of the norm, multiplied by a power of `FAR`; this is the number of powers that are tried
+FURTHEST = 5
+MOST_STATES = 100  # largest number of states of the discrete plant for which a descent is run; it then takes ten seconds
 CLOSE = 1e-9  # a norm within this relative distance of 1 counts as 1
-GROW = 1.05  # factor to the next level if the level has no solution; the factor is squared each time
-FAR = 1e3  # ratio between the highest level that is tried and the level at which the search starts
-ROUNDS = 60  # largest number of rounds; about five are usually needed
-# largest number of unknowns of (22) for a level (21 states, one input); solving (22) a dozen or two times takes half a minute
+GROW = 1.05  # factor to the next level if a level has no solution; for each further level, the factor is squared
+FAR = 1e3  # ratio of the highest level that is tried to the level at which the search starts
+ROUNDS = 60  # largest number of rounds; a search usually needs about five
+# Largest number of unknowns of (22) at a level (21 states, one input). Solving (22) about two dozen times takes half a minute
 MOST = 260
-ROUNDING = 1e-7  # relative amount by which the norm of a gain may exceed the level of its central path
+ROUNDING = 1e-7  # the norm of a gain may exceed the level of the central path that gave the gain by this relative amount
 
 
-LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
+LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law, and the remarks about this law
 
 
 class SampledLaw(NamedTuple):
@@ -483,7 +484,8 @@ def _gain(
         tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
         raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
     why += f"; {work.text}" if work.over else ""
-    # The ninth digit of a norm depends on the estimate with which its computation starts. The final norm is computed from `near`.
+    # The ninth digit of a norm depends on the estimate from which its computation starts. The final norm is computed from the
+    # estimate `near`.
     return moved, norm_of(held, moved, near), None, why
 
 
@@ -590,7 +592,7 @@ def _level(
                     path(loosest)
                 except (NoSolutionError, InfeasibleError):
                     raise
-                except DesignError:  # the cause is a rounding error, which proves nothing about lower levels
+                except DesignError:  # the failure is due to a rounding error, so it proves nothing about lower levels
                     pass
             below = max(below, level)
             if level > FAR * start:
@@ -606,7 +608,8 @@ def _level(
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
             guesses = (_crossing_level(seen[-count:]) for count in (3, 2, 1))
-            # If only one bound on the level is known, the last guess, which is based on one pair, lies beyond this bound.
+            # If only one bound on the level is known, the last guess, which is based on one pair of values, lies beyond this
+            # bound.
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best

@@ -37,33 +37,36 @@ from synth.plant.generalized import Plant, check_inputs
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
-# if stable random gains exist in at least this number of decades of gain magnitude, a few stabilising starts are enough
+# Number of decades of gain magnitude. If at least this many decades contain stable random gains, a few stabilising starts are
+# enough
 ENOUGH_SAMPLES = 4
-# numbers of stabilising starts. The first is for enough stable random gains, the second for too few of them, and the third for
-# no stable start at all
+# Number of stabilising starts: if there are enough stable random gains, if there are too few, and if no start is stable
 FEW, MANY, MOST = 2, 6, 18
-LARGE = 30  # for plants with more states, stabilising starts, which take minutes, are used only if no other start is stable
-ALL = 100  # upper limit on the number of starts; it is never reached
-# Each row: rounds of descent, number of the best starts that descend, and the multiple of `rival` above which the search ends.
+LARGE = 30  # for a plant with more states, stabilising starts take minutes, so they are used only if no other start is stable
+ALL = 100  # upper limit on the number of starts, which is never reached
+# Each row has three entries: the number of rounds of a descent, the number of best starts that descend, and the multiple of
+# `rival` above which the search ends.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
-LAST_ROUNDS = 1200  # largest number of rounds of the last descent; reduced for a large plant, whose rounds take longer
-AGAINST = 3  # number of starts if `rival` is given
-# number of starts for a plant with `LARGE` states; a larger plant has fewer starts, so that the total work is the same
+# largest number of rounds of the last descent; a large plant has fewer rounds, because its rounds take longer
+LAST_ROUNDS = 1200
+AGAINST = 3  # number of starts if the argument `rival` is given
+# number of starts for a plant with `LARGE` states; a larger plant has fewer starts, so that the total work stays the same
 MOST_STARTS = 8
-SAME = 1e-4  # descents whose norms differ by less than this relative amount have found the same minimum
-BOUND_TOLERANCE = 1e-4  # the search ends if the relative distance between the norm and the lower bound is smaller than this
-# relative distance between the lower bound and the norm of the state feedback from which descent starts; a smaller distance
-# gives a larger gain
+SAME = 1e-4  # two descents have found the same minimum if their norms differ by less than this relative amount
+BOUND_TOLERANCE = 1e-4  # the search ends if the norm exceeds the lower bound by less than this relative amount
+# Relative distance above the lower bound of the norm of the state feedback from which descent starts. A smaller distance gives
+# a larger gain
 NEAR = 1e-3
-ZERO = 1e-9  # a norm that is smaller, relative to the plant's matrices, counts as zero
-SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which additional descents start, in logarithms of the gain
+ZERO = 1e-9  # a norm below this multiple of the size of the plant's matrices counts as zero
+SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
 AROUND = 60  # number of rounds of each descent that starts near the best gain
-# norms that differ by less than this relative amount count as equal, because the two methods for the norm round differently
+# norms count as equal if they differ by less than this relative amount, because the two methods for the norm round differently
 EQUAL = 1e-9
-SHARES = tuple(0.5**k for k in range(1, 41))  # multiples of a gain that are tried for the same norm
-DIFFERENT_STARTS = 3  # the trials end after this number of successive multiples with a different norm
-HALVINGS = 10  # number of bisections that determine the smallest multiple with the same norm to a thousandth
-LIMIT = 3e4  # limit on the number of norms, for loops with 8 states; they take 7 to 18 s of processor time
+SHARES = tuple(0.5**k for k in range(1, 41))  # multiples of a gain that are tried to find a smaller gain with the same norm
+DIFFERENT_STARTS = 3  # the trials end after this many successive multiples with a different norm
+HALVINGS = 10  # number of bisections that find the smallest multiple with the same norm, to a thousandth of the gain
+# limit on the number of norms that are computed, for loops with 8 states; this number takes 7 to 18 s of processor time
+LIMIT = 3e4
 
 
 class Candidate(NamedTuple):
@@ -217,7 +220,7 @@ class GainSearch:
             return self.feasible_candidates(self.landscape.point(two_steps.gain), "the two steps")
         try:
             gain = refine(self.plant, None, two_steps.gain).gain
-        except DesignError:  # stable according to its proof, but not with the rounding errors of the landscape
+        except DesignError:  # the start is stable according to a proof, but not in the landscape, because of rounding errors
             return []
         return self.feasible_candidates(self.landscape.point(gain), "the two steps, refined")
 
@@ -310,7 +313,7 @@ class GainSearch:
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []
-        with up_to_rounding():  # near the stability limit of a loop, rounding errors may end the descent
+        with up_to_rounding():  # rounding errors may end the descent if a loop is near the stability limit
             x, _ = descend_norm(self.landscape, candidate.x, self.limit, rounds, self.enough)
             moved = self.feasible_candidates(x, candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)

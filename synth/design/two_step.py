@@ -37,9 +37,9 @@ from synth.plant.units import independent, own_units, unit_rows
 if TYPE_CHECKING:
     pass
 
-# largest number of unknowns of step 1 (45 states, one input); step 2 is then solved for several X within about a minute
+# Largest number of unknowns of step 1 (45 states, one input). Step 2 can then be solved for several X within about a minute
 MOST = 1100
-SAME = 1e-9  # a state gain G counts as K C_y up to this relative distance
+SAME = 1e-9  # a state gain G counts as equal to K C_y if their relative difference is smaller than this
 
 
 def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
@@ -52,8 +52,8 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
         NoSolutionError: no state feedback changes every mode by more than rounding.
     """
     n = len(plant.A)
-    # State feedback as a problem of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22) Then u = G_s x (1),
-    # with G_s = Y X^-1 (3), and the norm is eta^-1/2 (23).
+    # State feedback is found by a problem of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22) The force
+    # is then u = G_s x (1) with the gain G_s = Y X^-1 (3), and the norm is eta^-1/2 (23).
     return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
 
 
@@ -77,7 +77,7 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     """
     rows, lengths = unit_rows(Cy)
     try:
-        return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths  # (14)
+        return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths  # equation (14)
     except np.linalg.LinAlgError as error:
         raise DesignError(
             f"L (14) could not be computed: C_y X C_y' is singular to rounding ({error}), as X grows without bound or vanishes "
@@ -88,7 +88,7 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
 def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     """Returns R = C_y^+ + Q L, shape (n, q), equation (9)."""
     rows, lengths = unit_rows(Cy)
-    return np.linalg.pinv(rows) / lengths + Q @ L  # (9)
+    return np.linalg.pinv(rows) / lengths + Q @ L  # equation (9)
 
 
 def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
@@ -122,7 +122,7 @@ def independent_rows(plant: Plant) -> list[int]:
     return independent(plant.Cy * own_units(plant, measured=True).states)
 
 
-@functools.lru_cache(maxsize=2)  # both steps of a design call this function, and plants do not change
+@functools.lru_cache(maxsize=2)  # both steps of a design call this function with the same plant, and plants do not change
 def well_posed(plant: Plant) -> WellPosedProblem:
     """Returns problem (22) of a plant or, if (22) is degenerate, a regularised problem. The result does not depend on units.
 
@@ -209,7 +209,8 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     for i in reversed(range(len(path))):
         point = path[i]
         X = point.X if point.proof is None else point.proof
-        # Here y = C_y x (4), u = K y (5) and G = K C_y (6). The norm in the certificate is (27), computed by two methods.
+        # The notation is y = C_y x (4), u = K y (5) and G = K C_y (6). The norm in the certificate is the norm (27), computed
+        # by two methods.
         certificate = certify(plant, Feedback(point.K, plant.Cy), X, point.eta, lower_bound)
         if not certificate.loop_failures:
             before = path[max(i - 1, 0)].K
@@ -226,8 +227,8 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
         raise DesignError("its certificate fails: the path has no point")
     from synth.analysis.bounding import certify_tightly
 
-    # The X of the path may be too close to singular for a proof in floating point, for example with 40 states. Another X may
-    # still prove a bound.
+    # The matrix X of the path may be too close to singular for a proof in floating point, for example with 40 states. Another X
+    # may still prove a bound.
     another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return _result(path[-1].K, another)
@@ -312,7 +313,7 @@ def two_step_design(
     if reasons := "; ".join(stabilisability_failures(plant, states) or static_feedback_obstructions(plant)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, NoSolutionError)]
-    first, *_ = [*broken, *failures]  # after a path that ended early, it is unknown whether the second problem has a solution
+    first, *_ = [*broken, *failures]  # if the path ended early, it is unknown whether the second problem has a solution
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
@@ -380,7 +381,7 @@ def check_stabilisable(plant: Plant, states: Sequence[str] = ()) -> None:
     from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 
     reasons = list[str]()
-    with contextlib.suppress(InputError):  # an entry is too large in its units, so this check proves nothing
+    with contextlib.suppress(InputError):  # an entry of the matrix is too large in its units, so this check proves nothing
         reasons = stabilisability_failures(plant, states) or static_feedback_obstructions(plant)
     if reasons:
         raise InfeasibleError("; ".join(reasons))

@@ -21,13 +21,15 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 
-# Pair (F0, F) of shapes (k, k) and (N, k, k), whose matrix F0 + sum_i p_i F_i must stay positive definite
+# Pair (F0, F) of arrays with shapes (k, k) and (N, k, k). The matrix F0 + sum_i p_i F_i must stay positive definite
 Block = tuple[Array, Array]
 
-QUADRATIC = 0.25  # Newton decrement below which full steps converge quadratically (Boyd, Vandenberghe, section 9.6.4)
+# Newton's method with full steps converges quadratically if the Newton decrement is below this (Boyd, Vandenberghe, section
+# 9.6.4)
+QUADRATIC = 0.25
 STEPS = 200  # largest number of Newton steps
-# Total number of rows up to which all blocks are joined, which saves calls. If there are more rows, only blocks with one row
-# are joined
+# Largest total number of rows for which all blocks are joined, to save calls. With more rows, only the blocks with one row are
+# joined
 TOGETHER = 24
 PANEL = 64  # number of columns that the QR decomposition processes together
 
@@ -253,7 +255,8 @@ def _eigenvalues(flat: Array) -> Array:
     return lapack.dsyevd(flat.reshape(size, size), compute_v=0)[0]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # after a step to infinity, there is no Cholesky factor, so the step is halved
+# if the step leads to infinity, there is no Cholesky factor, so the step is halved
+@np.errstate(over="ignore", invalid="ignore")
 def newton(
     barrier: Derivatives,
     p: Array,
@@ -292,7 +295,7 @@ def newton(
         step = -here.solve(half)
         length = 1.0 if decrement < QUADRATIC else here.lowest(float(c @ step), step)
         moved = barrier.at(p + length * step)
-        while moved is None and length > 1e-10:  # the step ends too close to the boundary for the rounding errors
+        while moved is None and length > 1e-10:  # the step ends closer to the boundary than the rounding errors
             length /= 2
             moved = barrier.at(p + length * step)
         if moved is None:
@@ -316,7 +319,7 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
         else:
             high = t
         curvature = float(weighted @ terms)
-        # An accuracy of 10 % is sufficient; a higher accuracy would not save any Newton step
+        # An accuracy of 10 % is sufficient, because a higher accuracy would not save any Newton step
         if curvature == 0 or abs(rise) <= 0.1 * curvature * t:
             break
         t = t - rise / curvature
@@ -331,12 +334,12 @@ def boundary(here: FactoredDerivatives, step: Array) -> float:
     return -1 / smallest if smallest < 0 else np.inf
 
 
-FASTER = 8.0  # factor by which the weight of the last unknown increases from one point of the path to the next
+FASTER = 8.0  # factor by which the weight of the last unknown grows from one point of the path to the next
 CENTRES = 24  # largest number of points on the path
-CENTRE_DECREMENT = 0.1  # Newton decrement below which a point counts as a point of the path
+CENTRE_DECREMENT = 0.1  # a point counts as a point of the path if its Newton decrement is below this
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step
-SURE = 1.1  # safety factor on the distance between the last unknown at a point of the path and its smallest possible value
+SURE = 1.1  # safety factor on the distance of the last unknown, at a point of the path, from its smallest possible value
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:

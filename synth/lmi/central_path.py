@@ -46,17 +46,19 @@ LIMIT = 1e-9
 """Value of mu / eta at which the path ends. For the paper's problem, the gains are then within 3e-6 of the limit."""
 
 
-# Newton decrement at the points of the path; small enough for the dual solutions that prove lower bounds
+# Newton decrement at the points of the path. It is small enough for the dual solutions that prove lower bounds
 CENTRE_DECREMENT = 1e-6
-RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # values of mu / eta at which points are computed
+# values of mu / eta for which points of the path are computed
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))
 FIRST = 1.0  # value of mu / eta at the first point, which is far from the optimum
 FAR = 1e5  # condition number of X above which new coordinates are chosen; directly after a change of coordinates, X = I
-MOST_MOVES = 12  # largest number of coordinate changes at one point; if X still grows after them, the path has no such point
-DENSE = 200  # number of unknowns up to which a dense basis is faster, because fewer calls are needed
-# Largest number of unknowns, for example 62 states with one input: a path takes half a minute. Time grows with the cube of this
-# number, and memory with its square.
+# largest number of coordinate changes at one point; if X still grows after them, the central path has no point for this mu
+MOST_MOVES = 12
+DENSE = 200  # largest number of unknowns for which a dense basis is faster, because it needs fewer calls
+# Largest number of unknowns, for example for 62 states and one input. A path then takes half a minute. The time grows with the
+# cube of this number, and the memory with its square.
 MOST = 2000
-MOST_BORDERED = 600  # largest number of unknowns for a discrete plant, whose matrices are larger and treated as dense
+MOST_BORDERED = 600  # largest number of unknowns for a discrete plant; its matrices are larger, and they are treated as dense
 LARGEST_Y = 10.0  # bound on |Y| in the search for a feasible point
 INSIDE = 0.95  # longest predictor step, as a fraction of the distance to the boundary
 BREAKS_OFF = (
@@ -149,7 +151,8 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
     part = None
     if hides_stable_states(plant, np.hstack([Q, R]), step):
         part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
-    if part is not None:  # along unobservable states, X may grow without bound, so the path is computed for the other states
+    # X may grow without bound along unobservable states, so the path is computed for the other states only
+    if part is not None:
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
         return
@@ -179,7 +182,7 @@ def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoin
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
         return CentralPoint(part.completed_x(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
-    except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises a ValueError for NaN and infinity
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises a ValueError if a value is NaN or infinite
         raise DesignError(f"rounding prevents an X for the states unobservable in z ({error}); give other units") from error
 
 
@@ -202,16 +205,16 @@ class _Path:
     """Current point of a central path, and the coordinates of this point."""
 
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
-        self.free = Q.shape[1]  # a = n - q
+        self.free = Q.shape[1]  # the number of rows is a = n - q
         T = np.hstack([Q, R])
-        # Inputs without effect stay zero, and linearly dependent inputs are combined.
+        # Inputs that have no effect stay zero, and linearly dependent inputs are combined.
         self.inputs = plant.independent_inputs()
         plant = plant.with_inputs(self.inputs).in_coordinates(T)
-        # This scaling only improves the numerical accuracy: states are scaled by their controllability, and units are chosen so
-        # that A, B, Bw and C have size 1.
+        # This scaling only improves the numerical accuracy. States are scaled by their controllability, and the units are
+        # chosen so that A, B, Bw and C have size 1.
         scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
-        # If A = 0, the rate is chosen so that motion and force have equal weight in z.
+        # If A = 0, the rate is chosen so that the motion and the force have equal weight in z.
         self.rate = size(plant.A) if plant.A.any() else size(plant.B) * size(plant.C) / size(plant.D)
         self.step = step * self.rate
         self.input_unit = self.rate / size(plant.B)
@@ -222,12 +225,13 @@ class _Path:
         system[n:] *= self.output_unit
         system[:, n : n + m] *= self.input_unit
         system[:, n + m :] *= self.disturbance_unit
-        # Unknowns and their coefficients for the plant in the current coordinates
+        # Unknowns, and their coefficients for the plant in the current coordinates
         self.basis = Basis(system, n, m, self.free, self.step)
-        self.start = T @ scaling  # matrix from the initial coordinates of the path to the coordinates of the user
+        self.start = T @ scaling  # matrix that maps the initial coordinates of the path to the user's coordinates
         self.block_start = scaling[self.free :, self.free :]
-        self.V = np.eye(len(T))  # matrix from the current coordinates to the initial coordinates
-        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # gain that the plant has absorbed so far, in the initial coordinates
+        self.V = np.eye(len(T))  # matrix that maps the current coordinates to the initial coordinates
+        # gain that has been absorbed into the plant so far, in the initial coordinates
+        self.K = np.zeros((plant.B.shape[1], R.shape[1]))
         self.eta = 0.0
 
     @property
@@ -311,7 +315,7 @@ class _Path:
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
-        if here is None:  # the starting point is infeasible because of rounding
+        if here is None:  # the starting point is infeasible only because of rounding
             raise DesignError(f"the central path could not be started: {BREAKS_OFF}")
         while True:
             p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRE_DECREMENT, self._far, here)
@@ -329,7 +333,7 @@ class _Path:
             if rest <= mu_end:
                 return
             following = next_rest(rest, mu_end)
-            # Step along the tangent of the path in mu, so short that the point stays feasible
+            # The step follows the tangent of the path in mu, and it is so short that the point stays feasible
             step = here.solve(here.half(direction(len(p), 1 / (rest * self.eta))))
             step = min(1 - following / rest, INSIDE * boundary(here, step)) * step
             moved = next(filter(None, (self._moved(p + part * step, following) for part in (1.0, 0.5, 0.1, 0.0))), None)
@@ -350,7 +354,8 @@ class _Path:
         """
         before = self.V, self.K, self.basis, self.eta
         X, Y, self.eta = self.basis.unpack(p)
-        with contextlib.suppress(np.linalg.LinAlgError, InputError):  # a matrix is singular, or a number is out of range
+        # a matrix is singular, or a number is outside the range of floating point
+        with contextlib.suppress(np.linalg.LinAlgError, InputError):
             self._move_to(X, Y)
             barrier, start, here = self._entered(rest)
             if here is not None:
@@ -396,7 +401,7 @@ class _Path:
         """Converts a pair (X, Y) in the current coordinates to a point in the coordinates and units of the user."""
         T = self.start @ self.V
         return CentralPoint(
-            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the unit of X follows from (21)
+            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # equation (21) determines the unit of X
             K=self.inputs @ self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
             eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
             mu=rest,

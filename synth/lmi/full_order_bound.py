@@ -30,10 +30,12 @@ from synth.plant.units import nearest_power, own_units, size
 
 # Value of mu / eta at the end of the path; the bound for state feedback is then within (2 n + d) mu / 2 of the best bound
 STATE_END = 1e-5
-ENOUGH = 1e-8  # relative distance from the norm of state feedback below which a bound is not improved
+ENOUGH = 1e-8  # a bound that is closer to the norm of the state feedback than this relative distance is not improved
 END = 1e-6  # value of mu / t at the end of the joint path; the bound is then within (2 n + d + n - q) mu / 2 of the best bound
-SHARP = 1e-3  # relative distance between a proved bound and the gamma of its point, below which no digits were lost to rounding
-# Most unknowns of the joint path (33 states take minutes and 200 MB); for larger plants, the bound for state feedback is used
+# no digits were lost to rounding if the proved bound is closer to the gamma of its point than this relative distance
+SHARP = 1e-3
+# Largest number of unknowns of the joint path (33 states take minutes and 200 MB). For larger plants, the bound for state
+# feedback is used
 MOST = 1200
 ENTER = 1e2  # value of mu / t at the start of the joint path
 
@@ -75,7 +77,7 @@ def find_lower_bound(
         '0.2500'
     """
     measured = Cy is not None or bool(len(plant.Cy))
-    if (Cy is not None and len(Cy)) or len(plant.Cy):  # for a C_y without rows, the bound is for open-loop control
+    if (Cy is not None and len(Cy)) or len(plant.Cy):  # if C_y has no rows, the bound is for open-loop control
         plant = plant.measured(Cy, Dyw)
     best = _largest_bound(plant, measured, path, beyond_control)
     if best.state is not None or not np.any(plant.Dyw):
@@ -91,7 +93,8 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
-    other = observer if observer is not None and len(observer.J) else None  # None if y and its derivatives determine all states
+    # None if y and its derivatives determine all of the states
+    other = observer if observer is not None and len(observer.J) else None
     if dual is not None:
         best = max(best, _unmeasured_disturbance_bound(plant, dual), key=_gamma)
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
@@ -260,7 +263,7 @@ def _feasible(plant: Plant) -> Array:
     rate = nearest_power(size(own.A) if own.A.any() else units.rate) if plant.dt is None else 1.0
     weight = nearest_power(size(own.C))
     A, B, C, D = own.A / rate, own.B / rate, own.C / weight, own.D / weight
-    if not B.shape[1]:  # if there are no inputs (open-loop control), the Riccati equation becomes a Lyapunov equation
+    if not B.shape[1]:  # without inputs (open-loop control), the Riccati equation becomes a Lyapunov equation
         lyapunov = linalg.solve_continuous_lyapunov if plant.dt is None else linalg.solve_discrete_lyapunov
         P = weight**2 / rate * lyapunov(A.T, (-1 if plant.dt is None else 1) * (C.T @ C + size(C) ** 2 * np.eye(len(A))))
         X = np.linalg.inv(np.linalg.cholesky((P + P.T) / 2)) * units.states

@@ -9,7 +9,7 @@ from models.common.arrays import Array
 from synth.analysis.stability import balance
 from synth.plant.generalized import Plant
 
-RANK = 1e-9  # relative size below which a singular value counts as zero
+RANK = 1e-9  # a singular value below this multiple of the largest one counts as zero
 
 
 def output_nulling_gains(plant: Plant) -> Iterator[Array]:
@@ -59,9 +59,9 @@ def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[
     V = complement(observable.T)
     if not V.shape[1]:
         return V, V
-    slow = RANK * size  # decay rate below which a mode does not count as decaying, because of rounding
+    slow = RANK * size  # a mode with a smaller decay rate counts as undamped, because of rounding
 
-    def decays(real: float, imaginary: float) -> bool:  # True if |1 + step s| < 1
+    def decays(real: float, imaginary: float) -> bool:  # True for an eigenvalue s with |1 + step s| < 1
         return real + step * (real**2 + imaginary**2) / 2 < -slow
 
     _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=decays)  # pyright: ignore[reportAssignmentType]

@@ -15,8 +15,8 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.numerics import numerics
 
-AIM = 3e-7  # the search aims at a level whose plant has a bound above 1 by this relative distance
-ENOUGH = 1e-6  # relative distance from the highest proved level at which the search ends
+AIM = 3e-7  # the search aims at a level for which the plant has a bound that exceeds 1 by this relative amount
+ENOUGH = 1e-6  # the search ends within this relative distance of the highest proved level
 ROUNDS = 40  # largest number of iterations; most searches need about five
 
 
@@ -32,11 +32,12 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
     last: tuple[float, float] | None = None
     for _ in range(ROUNDS):
         plant = problem.at(level)
-        if plant is None:  # the gain within one sample period reaches the level before a force can respond
+        if plant is None:  # within one sample period, the gain reaches the level before a force can respond
             reached, discrete = math.inf, LowerBound(0.0)
         else:
             discrete = LowerBound(0.0)
-            with contextlib.suppress(InputError):  # close to this level, the plant has no continuous image
+            # close to this level, the discrete plant cannot be converted to a continuous plant
+            with contextlib.suppress(InputError):
                 discrete = find_lower_bound(plant)
             reached = discrete.gamma
         bound = SampledBound(level, discrete, inside=plant is None)

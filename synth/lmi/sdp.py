@@ -54,7 +54,7 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
         NoSolutionError: the solver reports that there is no solution, or eta is zero within the tolerance.
         DesignError: the solver failed.
     """
-    import cvxpy as cp  # the import takes 0.9 s, and only this function needs it
+    import cvxpy as cp  # this import takes 0.9 s, and only this function needs it
 
     step, plant = plant.dt, plant.differences
     m = plant.B.shape[1]
@@ -78,12 +78,12 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
     solve_sdp(problem)
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
-    # The tolerance of Clarabel is 1e-8, which is used relative to X.
+    # The tolerance of Clarabel is 1e-8 and is relative to X.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
         raise NoSolutionError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
         )
-    per_step = 1.0 if step is None else step  # for a plant in differences, the X of (21) is divided by the step
+    per_step = 1.0 if step is None else step  # for a plant in difference form, the X of (21) is divided by the step
     return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)
 
 
@@ -101,7 +101,7 @@ def solve_sdp(problem: Any) -> None:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the warning "may be inaccurate" repeats the status
+            warnings.simplefilter("ignore")  # the warning "may be inaccurate" says the same as the status
             problem.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise DesignError(

@@ -34,7 +34,7 @@ class StackedBarrier:
         self.shape = system.shape
         self.constant, self.system = constant, system
         self.rows, self.columns = np.triu_indices(n)
-        # Without the factor 0.5, diagonal entries would count twice
+        # Without the factor 0.5, the diagonal entries would count twice
         self.weight = np.where(self.rows == self.columns, 0.5, 1.0)
         self.upper = self.rows * n + self.columns
 
@@ -69,7 +69,7 @@ class StackedBarrier:
         PL = -P @ self.system
         g, r, a = PL[:, :n], -self.system.swapaxes(1, 2) @ PL, P[:, :n, :n]
         trace = np.append(self._both(2 * g.sum(axis=0) + of_x), np.einsum("vii->", P))
-        # The constraint X > 0 has the form of a loop with L = R = I / 2^(1/2) and without t.
+        # The constraint X > 0 has the same form as a loop with L = R = I / 2^(1/2) and without t.
         one, two = (np.concatenate([*pair, of_x[None] / 2**0.5]).reshape(-1, n * n) for pair in ((g, r), (g, a)))
         hessian = np.empty((len(p), len(p)))
         hessian[:-1, :-1] = self._folded((one.T @ two).reshape(n, n, n, n))
@@ -95,8 +95,8 @@ class StackedBarrier:
             M: half of the second derivatives along the unit matrices e_p e_q' and e_s e_t', indexed by t, p, q, s.
         """
         n = len(M)
-        both = M + M.swapaxes(1, 2)  # symmetric in p and q
-        both += both.transpose(3, 1, 2, 0)  # symmetric in s and t
+        both = M + M.swapaxes(1, 2)  # the array is symmetric in p and q
+        both += both.transpose(3, 1, 2, 0)  # the array is symmetric in s and t
         along = both.transpose(1, 2, 3, 0).reshape(n * n, n * n)
         return 2 * self.weight[:, None] * self.weight * along[np.ix_(self.upper, self.upper)]
 

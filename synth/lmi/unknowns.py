@@ -63,8 +63,7 @@ class Basis:
         plant.
         """
         n, m, k = self.n, self.m, self.system.shape[-2]
-        # [A B; C D] [X; Y] for every unknown gives the left columns of (24). The transpose of this product gives the upper
-        # rows.
+        # The product [A B; C D] [X; Y] for every unknown gives the left columns of (24). Its transpose gives the upper rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
         F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
         F[..., :k, :n] = left
@@ -99,11 +98,11 @@ def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     by row.
     """
     rows, columns = np.triu_indices(n)
-    inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks
+    inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks of the matrix
     index, q = np.arange(m * (n - free)), max(n - free, 1)
     places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
     for each in places:
-        each.flags.writeable = False  # the arrays are cached and shared by all paths of this size
+        each.flags.writeable = False  # the arrays are cached and shared by all central paths of this size
     return places
 
 
@@ -117,7 +116,7 @@ def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
     units[index[of_x], columns[of_x], rows[of_x]] = 1
     X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
     for each in (X, Y):
-        each.flags.writeable = False  # the arrays are cached and shared by all paths of this size
+        each.flags.writeable = False  # the arrays are cached and shared by all central paths of this size
     return X, Y
 
 

@@ -21,7 +21,7 @@ from synth.lmi.output_nulling import RANK, complement, in_balanced_coordinates, 
 from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
-ROUNDING = 1e-15  # relative error of an entry that should be zero, after a few rotations
+ROUNDING = 1e-15  # relative rounding error, after a few rotations, of an entry that should be zero
 UNDRIVEN = 1e-6  # variance of a state that no disturbance reaches, relative to the mean variance of the other states
 
 
@@ -109,15 +109,15 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
-        # In dimensionless units, the remaining states are orthogonal to the removed states. The result then does not depend on
-        # any unit.
+        # In dimensionless units, the remaining states are orthogonal to the removed states, so the result does not depend on
+        # units.
         own = T / lengths / own_units(plant).exact[0][:, None]
         kept_q, kept_r = _dual_basis(out_q, own[:, :a]), _dual_basis(out_r, own[:, a:])
         Z = np.hstack([np.asarray(linalg.block_diag(kept_q, kept_r)), in_q, in_r])
         F_r = F @ in_r @ in_r.T
         whole = moved.closed_loop(F_r).in_coordinates(Z)
         n = len(whole.A) - left
-        # A rounding error in an A that should be zero would look like a rate of the plant.
+        # If A should be zero, a rounding error in A would look like a rate of the plant.
         turned = np.linalg.norm(moved.A) + np.linalg.norm(moved.B) * np.linalg.norm(F_r)
         A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
         rest = Plant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)

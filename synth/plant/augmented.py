@@ -78,7 +78,7 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         )
     if len(below) == 1:
         return gain(above[0] / below[0] if len(above) else 0.0)
-    from scipy.signal import tf2ss  # the import takes 0.5 s
+    from scipy.signal import tf2ss  # this import takes 0.5 s
 
     A, B, C, D = (np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below))
     return StateSpace(A, B, C, D)

@@ -24,10 +24,10 @@ from models.common.errors import InputError
 from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
-# Smallest allowed singular value of the balanced A + I, relative to the largest one, which limits the number of digits that are
-# lost
+# Smallest allowed singular value of the balanced A + I, relative to the largest singular value. This limits the number of
+# digits that are lost
 LEAST_SINGULAR_VALUE = 1e-6
-MOVES = 20  # number of gains that are tried if A has a pole near z = -1
+MOVES = 20  # number of gains that are tried if A has a pole close to z = -1
 SEED = 20261122
 
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from models.common.arrays import Array
 
-SPLIT = 2.0**27 + 1  # splits a float into two halves of 26 bits each, so that products of halves are exact
+SPLIT = 2.0**27 + 1  # this factor splits a float into two halves of 26 bits each, so that products of halves are exact
 
-CONVERGED_CHANGE = 1e-14  # relative change of the result at which an iteration has converged
-# Largest number of iterations; each adds about 16 digits, minus the digits that are lost because of the condition of A
+CONVERGED_CHANGE = 1e-14  # an iteration has converged if the relative change of the result is smaller than this
+# Largest number of iterations. Each iteration adds 16 digits, less the digits that are lost because A is ill-conditioned
 MOST_TURNS = 12
 
 

@@ -18,7 +18,7 @@ from models.common.errors import InputError, short_repr
 from models.laws.linear import LinearLaw, static_law
 from synth.plant.double_double import exact_sum, product
 
-# Limits of the entries of a matrix; outside these limits, products of entries may underflow or overflow
+# Smallest and largest magnitude of a matrix entry. Outside these limits, products of entries may underflow or overflow
 SMALLEST, LARGEST = 1e-50, 1e50
 
 NOTHING: Any = None
@@ -195,7 +195,7 @@ class Plant:
         return static_law(K).fed_back(self.Dyu).D
 
     def on_readings(self, G: Array) -> Array:
-        """Returns the gain on the measurements with the same effect as G on C_y x + Dyw w.
+        """Returns the gain that, applied to the measurements y, gives the same force as G applied to C_y x + Dyw w.
 
         This method is the inverse of `acting`.
         """
@@ -377,7 +377,7 @@ class Plant:
         return self.C @ np.linalg.solve(shifted, np.broadcast_to(self.Bw.astype(complex), (len(s), *self.Bw.shape))) + self.Dw
 
 
-GeneralizedPlant = Plant  # public name
+GeneralizedPlant = Plant  # name for the public interface
 
 
 def law_gain(law: LinearLaw) -> Array:

@@ -30,7 +30,7 @@ from models.common.checks import CheckedFields, Index, PositiveTime, accept_form
 from models.laws.linear import LinearLaw
 from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
-# Prefix of output names for states of the law, and suffix of output names for requested forces
+# Prefix of the output names for the states of the law, and suffix of the output names for the requested forces
 LAW_STATE, REQUESTED = "law_state_", ".requested"
 
 
@@ -168,13 +168,14 @@ class Loop:
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
         n, k = len(plant.A), law.states
         N = n + k + p * m
-        # Rows select from [x; x_c; previous forces; u; d]. The following names of signals are matrices that act on this vector.
+        # The rows select from [x; x_c; previous forces; u; d]. From here on, the names of signals stand for matrices that act
+        # on this vector.
         x, x_c, previous, u, d = np.split(np.eye(N + len(plant.inputs)), [n, n + k, N, N + m])
-        forces = [u, *(previous[i * m : (i + 1) * m] for i in range(p))]  # by age [samples]
+        forces = [u, *(previous[i * m : (i + 1) * m] for i in range(p))]  # previous forces by age [samples]
         acting = before = u
         if self.hold:
             acting, last = forces[self.hold[0].delay_samples], self.hold[-1].delay_samples + 1
-            # Force that acts until the sample, if a measurement contains this force
+            # Force that acts until the sample; it is needed if a measurement contains the force
             before = forces[last] if p >= last else 0 * u
         y = plant.C @ x + plant.D @ np.vstack([acting, d])
         readings = plant.C[measured] @ x + plant.D[measured] @ np.vstack([before, d])
@@ -205,7 +206,7 @@ class Loop:
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
+@np.errstate(over="ignore", invalid="ignore")  # the response of an unstable loop may overflow
 def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], start: Array | None = None) -> Array:
     """Returns outputs of a sampled-data loop at every step, shape (..., T, p).
 
@@ -221,7 +222,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
     *runs, T = next(iter(inputs.values())).shape
     P, n, m, columns = len(lates), len(loop.plant.A), len(loop.forces), np.array(system.columns(names), dtype=int)
-    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m  # `outside` is True for disturbances
+    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m  # `outside` is True for inputs that are disturbances
     d = np.zeros((*runs, K * P, len(names)))
     for i, values in enumerate(inputs.values()):
         d[..., :T, i] = values
@@ -229,7 +230,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     at_sample, by_step = d[..., 0, :], d[..., outside]
     push = at_sample @ system.B[:, columns].T
     Phi, Gamma = loop.hold_matrices(loop.step or 0.0)
-    if P > 1:  # effect of disturbances that change within the period
+    if P > 1:  # effect of the disturbances that change within the sample period
         more, into = np.zeros_like(push[..., :n]), Gamma[:, columns[outside]].T
         for i in range(1, P):
             more = more @ Phi.T + (by_step[..., i, :] - by_step[..., 0, :]) @ into
@@ -245,7 +246,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     for i in np.flatnonzero(~outside):
         computed[..., columns[i]] += at_sample[..., i]
     plant, acting = loop.plant, [*range(m), *columns[outside]]
-    steps = np.empty((*runs, K, P, n + len(acting)))  # vector [x; forces; disturbances] in every step
+    steps = np.empty((*runs, K, P, n + len(acting)))  # vector [x; forces; disturbances] at every step
     steps[..., 0, :n], steps[..., n + m :] = states[..., :n], by_step
     into = np.hstack([Phi, Gamma[:, acting]]).T
     for i, late in enumerate(lates):
@@ -293,7 +294,7 @@ def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Arr
         loops = np.eye(m) - H
         C, outside = np.linalg.solve(loops, np.broadcast_to(C, (len(z), m, n))), np.linalg.solve(loops, outside)
     push = system.B[:n, columns] @ d + G @ outside.astype(complex)
-    if len(loop.by_step) > 1:  # disturbances change within the period
+    if len(loop.by_step) > 1:  # the disturbances change within the sample period
         Phi, Gamma = loop.hold_matrices(loop.step or 0.0)
         change, more, turn = Gamma[:, columns] @ d, np.zeros_like(push[:, : len(loop.plant.A)]), _turn(loop, omega)
         for i in range(1, len(loop.by_step)):
@@ -370,7 +371,7 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     """
     plant, x, u, d = _by_step(loop, outputs, drive, omega)
     turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]
-    # Relative to exp(j omega t), u[-1] is also the force in the last period
+    # Relative to exp(j omega t), u[-1] is also the force during the last sample period
     before = [u[-1] / turn, *(one / turn for one in u[:-1])]
     values, jumps = [], []
     for i, (state, now, last) in enumerate(zip(x, u, before, strict=True)):

@@ -12,7 +12,7 @@ from models.common.threads import one_thread
 class DesignError(InputError):
     """Failure of a design. The message describes the problem, its usual cause and what to do."""
 
-    exit_code = 1  # the exit code is 1, because the input is valid
+    exit_code = 1  # the exit code is 1, because the failure is not an error in the input
 
 
 class InfeasibleError(DesignError):
@@ -30,9 +30,9 @@ class TooLargeError(DesignError):
     """Failure because an LMI problem has more unknowns than the central-path method allows."""
 
 
-# A wrong shape is a programming error of this package, even if numpy raises a LinAlgError for it.
+# A wrong shape is a programming error of Roadproof, even though numpy raises a LinAlgError for it.
 OF_SHAPES = ("dimension", "square", "shape")
-NUMERIC = (  # words in messages of numpy, scipy, LAPACK and Python about numerical failures
+NUMERIC = (  # words that numpy, scipy, LAPACK and Python use in messages about numerical failures
     *("infs", "NaN", "finite", "singular", "hermitian", "math domain error", "illegal value"),
     *("Reordering", "ill-conditioned", "converge"),
 )

@@ -14,17 +14,18 @@ import numpy as np
 
 from models.common.arrays import Array
 
-SHARE = 0.7  # length of a panel relative to the distance to the nearest pole
-ORDER = 10  # number of nodes in a panel
+SHARE = 0.7  # length of an integration panel, relative to its distance from the nearest pole
+ORDER = 10  # number of nodes in an integration panel
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
-# Weights for the moments of polynomial degrees 8 and 9
+# Weights that give the moments with the polynomials of degrees 8 and 9
 LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T
-ENOUGH = 1e-5  # allowed error estimate of a panel, relative to the integral
-HALVINGS = 20  # largest number of rounds in which panels are halved
-MOST_PANELS = 20_000  # limit of 200 000 frequencies; if they do not suffice, the error estimate is large
-# Smaller integrals, relative to the largest one, are rounding errors, such as the roll of a car on equal tracks
+ENOUGH = 1e-5  # allowed error estimate of an integration panel, relative to the integral
+HALVINGS = 20  # largest number of rounds in which integration panels are halved
+# largest number of integration panels, which have 200 000 frequencies; if more are needed, the error estimate is large
+MOST_PANELS = 20_000
+# An integral below this multiple of the largest integral is a rounding error, such as the roll of a car on equal tracks
 NOTHING = 1e-24
-FINEST = 1e-12  # length of the shortest panel, relative to its frequency
+FINEST = 1e-12  # length of the shortest integration panel, relative to its frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +59,10 @@ class Band:
         because f is treated as the polynomial through its nodes on each panel. The method uses that the integral of P_l(x)
         exp(j a x) from -1 to 1 is 2 j^l j_l(a), where P_l is a Legendre polynomial and j_l a spherical Bessel function.
         """
-        from scipy import special  # the import takes 0.1 s
+        from scipy import special  # this import takes 0.1 s
 
         share, middle = self.share.reshape(-1, ORDER), self.omega.reshape(-1, ORDER).mean(axis=1)
-        half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the Gauss-Legendre weights have the sum 2
+        half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the sum of the Gauss-Legendre weights is 2
         moments = (2 * degrees + 1) * 1j**degrees * special.spherical_jn(degrees, half[:, None] * time)
         turned = moments @ np.polynomial.legendre.legvander(NODES, ORDER - 1).T
         return (share * turned * np.exp(1j * middle * time)[:, None]).ravel()
@@ -113,8 +114,8 @@ def _panels(low: float, high: float, poles: Array, longest: float) -> tuple[Arra
     ends, longest = [low], max(longest, (high - low) / MOST_PANELS)
     while ends[-1] < high:
         here = ends[-1]
-        # The spectra of roads have a pole at 0, so 0 counts as a pole. The length of a panel is limited because panels shorter
-        # than rounding errors are useless.
+        # The spectrum of a road has a pole at 0, so 0 counts as a pole. The length of a panel has a lower limit, because panels
+        # shorter than rounding errors are useless.
         step = max(SHARE * min(here, float(np.abs(1j * here - poles).min(initial=np.inf))), FINEST * here)
         end = here + min(step, longest)
         ends.append(high if end + step / 5 >= high else end)

@@ -10,15 +10,19 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
-NILPOTENT = 1e-14  # size relative to |A|^n below which A^n counts as 0; all poles are then 0, as for a chain of integrators
-CANCELLED_SUM = 1e-9  # size of a sum, relative to its terms, below which the sum may be zero
-TOGETHER = 1e-4  # weight of the equations for a common unit of all disturbances w, and a common unit of all outputs z
-# Smaller eigenvalues of the normal equations, relative to the largest one, belong to undetermined units All others exceed 1e-8.
+# A^n counts as 0 if its size, relative to |A|^n, is smaller than this; all poles are then 0, as in a chain of integrators
+NILPOTENT = 1e-14
+CANCELLED_SUM = 1e-9  # a sum counts as possibly zero if its size, relative to its terms, is smaller than this
+TOGETHER = 1e-4  # weight of the equations that give all disturbances w a common unit, and all outputs z a common unit
+# If an eigenvalue of the normal equations is below this multiple of the largest eigenvalue, it belongs to an undetermined unit.
+# All other eigenvalues exceed 1e-8 times the largest.
 OPEN = 1e-11
-FINEST = 2.0**-20  # resolution of an exponent of two; coarser than rounding, so that equal units stay equal in powers of two
-ALIKE = 1e-6  # two units count as equally undetermined if the relative difference is below this value
-UPWARDS = 0.53  # offset for rounding exponents; not 0.5, so that a unit half-way between two powers of two is not ambiguous
-DEPENDENT = 1e-10  # smallest singular value of rows of length 1 for which the rows count as independent
+# resolution of the base-2 logarithm of a unit; it is coarser than rounding errors, so that equal units give equal powers of two
+FINEST = 2.0**-20
+ALIKE = 1e-6  # two units count as equally undetermined if their relative difference is smaller than this
+# offset for rounding exponents; it is not 0.5, so that a unit half-way between two powers of two is not ambiguous
+UPWARDS = 0.53
+DEPENDENT = 1e-10  # unit rows count as linearly independent if their smallest singular value is larger than this
 
 
 def reachable(plant: Plant, free: int) -> Array:
@@ -30,12 +34,12 @@ def reachable(plant: Plant, free: int) -> Array:
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
     balanced = plant.in_coordinates(np.diag(diagonal))
-    A = balanced.A / size(balanced.A)  # A is made dimensionless, so that the unit of time has no influence
+    A = balanced.A / size(balanced.A)  # A is made dimensionless, so that the unit of time has no effect
     poles = np.linalg.eigvals(A)
     shift = 1.0 if are_integrators(A) else poles.real.max() + np.abs(poles).max()
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
     gramian = linalg.solve_continuous_lyapunov(A - shift * np.eye(n), -inputs @ inputs.T)
-    # This term keeps the scale finite for states that inputs and disturbance hardly affect
+    # This term keeps the scale finite for states on which inputs and disturbances have hardly any effect
     gramian += 1e-5 * np.trace(gramian) * np.eye(n)
     blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
     return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
@@ -117,7 +121,7 @@ def unit_rows(Cy: Array) -> tuple[Array, Array]:
     return Cy / lengths[:, None], lengths
 
 
-@functools.lru_cache(maxsize=4)  # results are cached because a design needs the units often, and plants do not change
+@functools.lru_cache(maxsize=4)  # the results are cached, because a design needs the units often and a plant does not change
 def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     """Returns units of states and inputs in which the plant's entries are near 1, and the rate of the plant.
 
@@ -137,7 +141,7 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     """
     Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
-    # The rows are the change of x, then z, then y. Columns: x, u, w.
+    # The rows are the equations of the change of x, of z, and of y. The columns are x, u and w.
     whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])
     i, j = np.nonzero(whole)
     columns, unknowns = n + m + r, n + m + r + d + q + 1
@@ -146,11 +150,11 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     # rate. Every equation thus has three coefficients. The normal equations contain the products of pairs of these
     # coefficients.
     where = np.stack([j, np.where(changes, i, columns + i - n), np.full(len(i), unknowns - 1)], axis=1)
-    own = np.where(i == j, 0.0, 1.0)  # the effect of a state on itself depends only on the rate, not on a unit
+    own = np.where(i == j, 0.0, 1.0)  # the unit of a state does not affect the state's effect on itself; only the rate does
     what = np.stack([np.where(changes, own, 1.0), np.where(changes, -own, 1.0), np.where(changes, -1.0, 0.0)], axis=1)
     pairs, products = where[:, :, None] * unknowns + where[:, None], what[:, :, None] * what[:, None]
     normal = np.bincount(pairs.ravel(), products.ravel(), unknowns**2).reshape(unknowns, unknowns)
-    normal = normal.astype(float)  # for a plant of zeros, bincount has nothing to count and returns integers
+    normal = normal.astype(float)  # if all matrices of a plant are zero, bincount has nothing to count and returns integers
     right = -np.bincount(where.ravel(), (what * np.log2(np.abs(whole[i, j]))[:, None]).ravel(), unknowns)
     for first, count in ((n + m, r), (columns, d)):
         alike = slice(first, first + count)
@@ -206,7 +210,7 @@ def speed(plant: Plant) -> tuple[float, bool]:
 
 def _speed(plant: Plant) -> tuple[float, bool]:
     A = plant.A
-    # The sum of all squared poles is compared with the sum of the absolute terms. Neither sum depends on the units.
+    # The sum of the squared poles is compared with the sum of the absolute terms. Both sums are independent of the units.
     if abs(np.sum(A * A.T)) <= CANCELLED_SUM * np.sum(np.abs(A * A.T)):
         own = own_units(plant)
         if are_integrators(own.into(plant).A):

@@ -37,7 +37,7 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
     unladen, then = vehicle.unladen, (entry.certificate or {}).get(VEHICLE)
     heavier = [vehicle.parameters[name] - unladen.parameters[name] for name in unladen.parameters if name == "sprung_mass"]
     payload = [f"payload {mass:g} kg" for mass in heavier if mass]
-    if not isinstance(then, Mapping):  # the certificate was saved by an earlier version
+    if not isinstance(then, Mapping):  # an earlier version of Roadproof saved the certificate
         with suppress(InputError):
             if payload and not verify_record(problem(unladen, entry.measured, entry.hardware), entry)[1]:
                 return f"{CHANGED_VEHICLE}{payload[0]}"

@@ -64,7 +64,8 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
         lower_bound=lower_bound,
         states=plant_states(vehicle, entry.hardware.bandwidth),
     )
-    if not (request.two_steps or by_force or request.sampled):  # a sampled-data design uses the measurements unchanged
+    # a design for the sampled-data loop uses the measurements unchanged
+    if not (request.two_steps or by_force or request.sampled):
         problem = replace(problem, as_run=partial(on_readings, problem=plant_problem))
     if request.sampled:
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
@@ -164,7 +165,7 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
             f"minimises the mean square of z with the road {problem.preview:g} s ahead: the H2 norm is {digits(result.h2_norm)} "
             f"({digits(result.without)} without preview), {of_white_noise}{at_once}"
         )
-    if problem.design == "lqg":  # the white noise of LQG is not part of w
+    if problem.design == "lqg":  # LQG also assumes a white noise, which is not part of w
         noise = ", with noise of the sensors" if problem.noise is not None and np.any(problem.noise) else ""
     else:
         noise = ", with noise of w on the sensors" if np.any(problem.plant.Dyw) else ""

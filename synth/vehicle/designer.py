@@ -87,7 +87,7 @@ class SharedDesignData:
             everything = key[0] == self.states and not np.any(plant.Dyw)
             try:
                 path = self.state_path
-            except DesignError:  # a plant for which no design exists may still be checked
+            except DesignError:  # a plant may be checked even if no design exists for it
                 path = []
             self._bounds[key] = FEATURES.load("lower bounds").find_lower_bound(
                 plant.unmeasured if everything else plant, None, path, self.beyond_control
@@ -114,7 +114,8 @@ class Designer:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
         self._sampled_bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], SampledBound | None] = {}
-        self._pushing: Designer | None = None  # designer of the vehicle with force actuators instead of semi-active dampers
+        # designer for the same vehicle with force actuators instead of semi-active dampers
+        self._pushing: Designer | None = None
 
     def __repr__(self) -> str:
         """Returns the type and the file of the vehicle as text."""
@@ -296,7 +297,7 @@ class Designer:
         if entry.certificate:
             wrong += FEATURES.load("norm as implemented").false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
-        if wrong and not certificate.stable:  # sampling may make the loop stable
+        if wrong and not certificate.stable:  # sampling may make an unstable loop stable
             cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
             wrong = tuple(each for each in wrong if each not in cured)
         if wrong:
@@ -336,14 +337,14 @@ class Designer:
             start = None
         problem, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
         if entry.request.sampled and start is None:
-            self.design(name)  # raises an error with the reason
+            self.design(name)  # this call raises an error that states the reason
         return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
         """Returns a relative decrease of a designed controller's norm that `refine` would achieve; 0 if it is negligible."""
         if (
             not controller.designed
-            or controller.sampled  # a design for the sampled-data loop is already refined
+            or controller.sampled  # a design for the sampled-data loop has already been refined
             or not controller.measured
             or not goes("refine", self._entry(controller.name).parts)
             or self.vehicle.integrals

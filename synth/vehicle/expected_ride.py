@@ -31,8 +31,8 @@ from synth.controller.loop_of import loop_of, road_inputs
 from synth.plant.loop import frequency_response
 from synth.plant.quadrature import sample_band
 
-ROAD_CLASS, SPEED = "C", 20.0  # class of an average road, and speed [m/s]
-METHOD = "statistical linearisation"  # method for vehicles with nonlinear characteristics
+ROAD_CLASS, SPEED = "C", 20.0  # road class of an average road, and driving speed [m/s]
+METHOD = "statistical linearisation"  # default method for vehicles with nonlinear characteristics
 WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 

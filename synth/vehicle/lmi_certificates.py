@@ -35,9 +35,9 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, with_outputs_of_norm
 from synth.vehicle.verification import Verification, shifted_plant
 
-PERFORMANCE = "performance"  # name of the plant whose output z is defined in [performance]
-CHECKERS = ("check_certificate.py", "check_certificate.html")  # programs that check a certificate
-MOST_STATES = 40  # largest number of states of a loop with a certificate; with more states, proofs take minutes
+PERFORMANCE = "performance"  # name of the plant with the output z that the section [performance] defines
+CHECKERS = ("check_certificate.py", "check_certificate.html")  # programs that check a certificate independently
+MOST_STATES = 40  # largest number of states of a loop for which a certificate is made; with more states, proofs take minutes
 SAMPLED = "its matrix exponentials are irrational"
 BAND = "a norm in a band is computed by level sets in floating point"
 ROAD = "the response to a road is computed in floating point"

@@ -29,7 +29,7 @@ from synth.plant.generalized import Plant
 from synth.vehicle.design_problem import certify_ideal_loop
 from synth.vehicle.verification import Verification
 
-USUAL_SPEED = 12.5  # default speed of bounds [m/s]; the speed of the paper, (62)
+USUAL_SPEED = 12.5  # default speed for bounds [m/s], as in equation (62) of the paper
 
 
 def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Vehicle]:
@@ -96,7 +96,7 @@ def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound
 
     felt, end = road.from_start, road.duration
     displacement, velocity = felt.displacement, felt.velocity
-    if felt is not road:  # a road from measured points is level after the end of the points
+    if felt is not road:  # a road that is given by measured points is level after the last point
 
         def displacement(t: Array, side: str) -> Array:
             return felt.displacement(np.minimum(t, end), side)
@@ -150,12 +150,12 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
 
 
 def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
-    """Returns the road of a peak bound.
+    """Returns the road for which a peak bound is stated.
 
     Raises:
         InputError: the road is unknown, has loads or a vertical edge, or has no end.
     """
-    from models.roads.choice import choose_road  # this import loads the code of all roads, loads and their files
+    from models.roads.choice import choose_road  # this import loads the code of all roads and loads, and of their files
 
     where = f"{where} road = {bound.road!r}"
     with error_in(f"{where}:"):
@@ -190,8 +190,8 @@ def goals_design(
         DesignError: no controller was found.
     """
     problem = goal_problem(vehicle, entry, goals)
-    # The ratios of the norms to the individual optima are reported for every family. The ratios are minimised if the goals
-    # request it.
+    # For every family, the ratios of the norms to the individual optima are reported. If the goals request it, the ratios are
+    # minimised.
     bests = with_individual_optima(problem) if goals.family else problem
     certify = certify_ideal_loop(plant_problem, lower_bound)
     asked = DesignProblem(plant_problem.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
@@ -205,7 +205,7 @@ def goals_design(
     if goals.structure is not None and not np.all(problem.structure):
         assert asked.goals is not None, "goals"
         full = replace(asked.goals, structure=np.ones_like(problem.structure))
-        # descends from the gain of the design for a limited number of rounds
+        # the search descends from the gain of the design for a limited number of rounds
         goal = improved_goal(full, design.details, on_progress)
         said.append(
             f"the structure costs at least {percent(design.value / goal - 1)}: a gain with every entry reaches {digits(goal)}, "

@@ -25,9 +25,9 @@ from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer
 
-# Bases (47) and (57) that the paper chose; L depends on these bases, but K does not.
-CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}  # (46), (55)
-Q = {"I": np.eye(4)[:, [1, 3]], "II": np.eye(4)[:, [1, 0, 3]]}  # (47), (57)
+# The bases (47) and (57) are the choice of the paper; L depends on these bases, but K does not.
+CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}  # matrices (46) and (55)
+Q = {"I": np.eye(4)[:, [1, 3]], "II": np.eye(4)[:, [1, 0, 3]]}  # bases (47) and (57)
 
 SHORT = "the paper's solver stopped a little short of the limit of the central path, 2e-4 away in X"
 EXACT = ""
@@ -54,9 +54,9 @@ class PrintedNumber:
     reason: str
 
 
-NOT = math.nan  # entry that is not published, or that follows by symmetry
-# Columns: equation, symbol, unit of the last published digit, value or matrix, and the entries that are inaccurate because the
-# paper's solver stopped too early.
+NOT = math.nan  # entry that is not published, or that follows from symmetry
+# The columns are: equation, symbol, unit of the last published digit, published value or matrix, and the entries that are
+# inaccurate because the paper's solver stopped too early.
 _RESULTS = (
     ("(40)", "G_s", 1e0, [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]], [(0, 2)]),
     ("(41)", "gamma_Gs", 1e-4, 7.8365, []),
@@ -114,11 +114,12 @@ def entry_of(quantity: Array | float, entry: tuple[int, int] | None) -> float:
 
 
 TO_RELATIVE = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states (30) are TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
+ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states in equation (30) are TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
 BOX = 2e4  # largest allowed entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
 SEED = 1
-TOLERANCE = 1e-6  # the search ends if the relative spread of norms in the population is smaller than this
-UNSTABLE = 1e6  # value for an unstable loop: far above the norms of stable loops, and larger if the loop grows faster
+TOLERANCE = 1e-6  # the search ends if the norms in the population differ by less than this relative amount
+# smallest objective for an unstable loop; it is far above the norms of stable loops, and it increases with the growth rate
+UNSTABLE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +190,7 @@ def remark_4(designer: Designer) -> list[WithoutL]:
 @numerics()
 def remark_5(designer: Designer) -> list[Way]:
     """Returns the results of the two-step method and of a genetic algorithm, for both controllers."""
-    from scipy.optimize import differential_evolution  # this import takes 0.5 s
+    from scipy.optimize import differential_evolution  # this import takes half a second
 
     ways, plant = [], designer.plant
     for name, Cy in CY.items():
@@ -206,7 +207,7 @@ def remark_5(designer: Designer) -> list[Way]:
         box, given, rng = [(-BOX, BOX)] * len(Cy), (Landscape(plant.measured(Cy)),), np.random.default_rng(SEED)
         search = differential_evolution(norm, box, given, rng=rng, tol=TOLERANCE, polish=False)
         seconds = time.process_time() - begin
-        # this norm is computed by two methods; the search itself used only one method
+        # two methods compute this norm; the search itself used only one of them
         value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value
         ways.append(Way(name, "genetic", search.x[None], value, f"{search.nfev} norms", seconds))
     return ways

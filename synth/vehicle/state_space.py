@@ -22,7 +22,7 @@ from synth.vehicle.designer import certify_given
 if TYPE_CHECKING:
     import control
 
-UNNAMED_SIGNAL = re.compile(r"[uy]\[\d+\]")  # default name of a signal in python-control
+UNNAMED_SIGNAL = re.compile(r"[uy]\[\d+\]")  # default name of a signal in the package python-control
 
 
 def from_state_space(
@@ -126,7 +126,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         >>> controller.law.states, f"{controller.certificate.norm.value:.3f}"
         (1, '7.845')
     """
-    # Raises an error if the shapes of the matrices do not fit together
+    # This call raises an error if the shapes of the matrices are inconsistent
     law = LinearLaw(*_matrices(system), sample_period=_sample_period(system))
     columns = _order(system, "input_labels", measured)
     rows = _order(system, "output_labels", vehicle.linear_model.inputs)

@@ -27,7 +27,7 @@ from synth.design.uncertainty.worst_case import Proof, WorstNorm, stable_with_er
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
-CLOSE = 1e-3  # if a bound in a band exceeds the norm that is reached by less than this relative amount, no other proof is tried
+CLOSE = 1e-3  # no other proof is tried if the bound in a band exceeds the largest gain found by less than this relative amount
 ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
 TIME = Field[float]("time", float, ".4g", unit="s")
 
@@ -160,7 +160,7 @@ class Verification:
         box = box_of(gain, tolerance.sensors, tolerance.forces)
         if problem.dt is None and stable_in_box(gain, box) is not None:
             proof = bound_in_band(gain, box, *spec.band, unit * (1 + NEAR))
-        # the norm with the filter is at least as large as the norm in the band
+        # the norm with the filter is at least the norm in the band
         if proof is None or proof.bound > unit * (1 + CLOSE):
             behind = self.worst_of(i, spec)
             tried = [GainErrors(behind.readings, behind.forces), *tried]
@@ -198,7 +198,7 @@ class Verification:
             try:
                 peaks = energy_peaks(problem, problem.acting(self.K) @ problem.Cy, signal.c[None], signal.g[None])
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
-            except DesignError:  # the loop is unstable
+            except DesignError:  # the loop is not stable
                 of.append((np.inf, np.inf))
         what = f"largest {bound.energy_peak} for roads of {bound.energy:g} m2/s"
         return self.most(what, of, bound.at_most, self.vehicle.kind.signal(bound.energy_peak).unit)

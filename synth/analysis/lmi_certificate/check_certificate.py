@@ -47,7 +47,7 @@ def read(value):
     """Returns a string such as "-3", "0.25" or "22/7" as a number, or a nested list of such strings as a matrix."""
     if isinstance(value, list):
         return Matrix(map(read, row) for row in value)
-    return Fraction("".join(NUMBER.findall(value)))  # a value that is not a number gives "", which Fraction rejects
+    return Fraction("".join(NUMBER.findall(value)))  # a value that is not a number becomes "", which Fraction rejects
 
 def diagonal(entries):
     """Returns the diagonal matrix with these entries."""

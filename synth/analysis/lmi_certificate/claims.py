@@ -26,10 +26,11 @@ from synth.plant.generalized import Plant
 
 Claim = dict[str, Any]
 
-NOISE = (0.3, 1e-1, 1e-3)  # noise for `bounding_x`, relative to the distance of the bound from the norm
-EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # noise on every state for `bounding_x`, tried in this order
-ABOVE = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound from the norm, tried in this order if no bound is given
-# if no rate is given, rates closer to the stability limit than the slowest pole by these relative amounts are tried
+NOISE = (0.3, 1e-1, 1e-3)  # power of the noise for `bounding_x`, relative to the distance of the bound above the norm
+EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # powers of the noise on every state for `bounding_x`, tried in this order
+# relative distances of the bound above the norm, tried in this order if the user gives no bound
+ABOVE = (1e-6, 1e-4, 1e-2, 0.1)
+# if the user gives no decay rate, rates below the decay rate of the slowest pole by these relative amounts are tried
 SLOWER = (1e-3, 1e-2, 0.1)
 
 
@@ -112,7 +113,7 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
         bound: bound on |z|.
         X: solution of the Lyapunov inequality that proves the bound, shape (n, n).
     """
-    level = decimal(np.nextafter(bound, np.inf))  # rounded up, so not below `bound`
+    level = decimal(np.nextafter(bound, np.inf))  # the value is rounded up, so it is not below `bound`
     for short in shortened(X):
         if definiteness(short).proved and loop.energy_to_peak(exact(short), level):
             return {"kind": "energy_to_peak", "bound": rational(level), "X": rows(short)}

@@ -30,11 +30,12 @@ FORMAT = "LMI certificate 1"
 TWICE = "computed twice"
 MULTIPLIERS = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
 LAW_STATE = "controller_state_"
-WEAKER = 1e-7  # a lower bound that is weaker than the claimed bound by more than this relative amount is listed as not exact
-WORK = 10_000  # amount of work that a slow computer checks in 1 s: the sum of the cubes of the numbers of states and outputs
+WEAKER = 1e-7  # a lower bound is listed as not exact if it is weaker than the claimed bound by more than this relative amount
+# amount of work that a slow computer can check in 1 s. The work is the sum of the cubes of the numbers of states and outputs
+WORK = 10_000
 
-Signal = tuple[str, str]  # name and unit
-Names = Mapping[str, Sequence[Signal]]  # signals by the names of their groups, as in `SIGNALS`
+Signal = tuple[str, str]  # name and unit of a signal
+Names = Mapping[str, Sequence[Signal]]  # signals of each group, by the name of the group as in `SIGNALS`
 
 
 def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:

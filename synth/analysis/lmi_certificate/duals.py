@@ -14,9 +14,10 @@ from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.plant.generalized import Plant
 
-# Combinations that are tried: bits of a dual solution, and the relative reduction of V12 below its largest possible size
+# Combinations that are tried: the number of bits of a dual solution, and the relative reduction of V12 below its largest
+# possible size
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))
-# levels that are tried in this order, as relative distances below the claimed bound
+# relative distances below the claimed bound at which a proof is tried, in this order
 LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 ENOUGH = 1e-8  # if the proved level is within this relative distance of the claimed bound, longer numbers are not tried
 IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
@@ -66,7 +67,7 @@ def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict |
     if not len(pair):
         return "no proof is known"
     a, b = np.split(pair // np.gcd.reduce(pair) * (t.denominator if sampled else 1), 2)
-    if sampled:  # the rows of the states were multiplied by 1 - j t
+    if sampled:  # the rows of the states are multiplied by 1 - j t
         turn = t.numerator * np.array([a, b])[:, :n] // t.denominator
         a[:n], b[:n] = a[:n] - turn[1], b[:n] + turn[0]
     r = np.insert(np.array([a, b]), [n] * (len(loop.I.rows) - n), 0, axis=1)

@@ -10,8 +10,9 @@ from models.common.arrays import Array
 from synth.analysis.lmi_certificate.check_certificate import SHAPES, ExactLoop, Matrix
 from synth.plant.generalized import Plant
 
-LONG = 10**20  # denominators of decimal fractions that are written as such are smaller than this
-BITS = (10, 14, 18, 24, 32, 44, 53)  # numbers of bits of an entry relative to the diagonal, tried in this order
+LONG = 10**20  # a decimal number is written as a decimal fraction only if its denominator is smaller than this
+# numbers of bits to which an entry is rounded, relative to the diagonal; tried in this order
+BITS = (10, 14, 18, 24, 32, 44, 53)
 
 
 def rational(value: float | Fraction) -> str:

@@ -34,14 +34,14 @@ from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, r
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
 STILL = {"double": 1e-150, "float": 1e-30}  # velocity that replaces 0 in divisions [m/s]
-# values of this size or larger are invalid
+# a measurement of this magnitude or larger is invalid
 LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}
-NEAREST = {"double": 2.0**52, "float": 2.0**23}  # numbers of this size or larger have no fractional part
-GIVEN_RANGE = "given"  # source of a range that the user gave and that no peak proves
-SPARE = 1.1  # factor by which a proved peak is increased, to allow for the effects of sampling and rounding
+NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number of this magnitude or larger has no fractional part
+GIVEN_RANGE = "given"  # name of the source if the user gave the range, so that no peak bound proves it
+SPARE = 1.1  # factor that enlarges a proved peak, to allow for the effects of sampling and rounding
 KEYWORDS = frozenset(
     ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
-)  # C keywords that a controller's name could equal
+)  # keywords of C that a user might choose as the name of a controller
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +272,7 @@ class PythonStep:
 
     def __post_init__(self) -> None:
         law, fixed = self.law, self.law.fixed
-        # Built-in Python floats have the same bits as float64, and computations with them are five times as fast.
+        # Built-in Python floats have the same bits as float64, and their arithmetic is five times as fast.
         self._number = NUMBERS[law.numbers] if law.numbers == "float" else float if fixed is None else int
         self._tables = {name: [self._all(row) for row in table.tolist()] for name, table in law.tables.items()}
         self._resolution, self._ends = self._all(law.resolution.tolist()), [self._all(one) for one in law.dampers]
@@ -336,7 +336,8 @@ class PythonStep:
         return out
 
     def _valid_or(self, value: Any, otherwise: Any) -> Any:
-        return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # this condition is also false for NaN
+        # this condition is also false if the value is NaN
+        return value if abs(value) < LARGEST[self.law.numbers] else otherwise
 
     def _sum(self, *parts: tuple[list[Any], list[Any]]) -> Any:
         total = self._number(0)

@@ -13,8 +13,8 @@ from synth.controller.export.c_law import LARGEST, NEAREST, STILL, ExportedLaw
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"
 
-# C source of each law, by name. The source computes the coefficient `c` from the velocities of body and wheel, their difference
-# `v`, and a third measurement
+# C source of each law, by name. The source computes the damping coefficient `c` from the velocities of body and wheel, the
+# difference `v` of these velocities, and a third measurement
 SEMI_ACTIVE = {
     "skyhook": "c = ((body * v) > ZERO) ? C_MAX : C_MIN;",
     "skyhook_linear": "c = ((body * v) > ZERO) ? (-(-SKY * body) / over) : C_MIN;",
@@ -128,7 +128,7 @@ def literal(numbers: str, value: float) -> str:
     """Returns the shortest C literal of type "double" or "float" that a compiler reads as exactly this number."""
     own = (np.float32 if numbers == "float" else np.float64)(value)
     if not np.isfinite(own):
-        return "0.0"  # does not occur, because no table contains such a value
+        return "0.0"  # this case does not occur, because no table contains such a value
     return np.format_float_scientific(own, unique=True, trim="0") + ("f" if numbers == "float" else "")
 
 

@@ -25,7 +25,7 @@ from synth.controller.controller import AnyController
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
 from synth.controller.export.c_source import FLAGS, CSource
 
-INTEGER = 64  # bytes of integers and padding in the state struct, in addition to the bytes of its numbers
+INTEGER = 64  # bytes of the integers and the padding in the state struct; the numbers of the struct take further bytes
 
 
 def own_compiler() -> str | None:
@@ -79,7 +79,8 @@ class ExportedCode:
 @functools.lru_cache(maxsize=16)
 def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
     command = compiler()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:  # Windows cannot delete a library that is loaded
+    # Windows cannot delete a library that is still loaded
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:
         for file, text in texts:
             (Path(beside) / file).write_text(text, encoding="utf-8", newline="\n")
         library = Path(beside) / f"{name}.so"
@@ -87,7 +88,8 @@ def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
         built = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
         if built.returncode:
             raise InputError(f"the compiler {Path(command[0]).name} rejects {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
-        return ctypes.PyDLL(str(library))  # CDLL would release the lock for other threads, which would take longer than a step
+        # CDLL would release the lock so that other threads can run, which would take longer than a step
+        return ctypes.PyDLL(str(library))
 
 
 class CompiledStep:

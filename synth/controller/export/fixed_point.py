@@ -20,11 +20,12 @@ from models.laws.linear import LinearLaw
 
 BITS = {"int16": 16, "int32": 32}
 MOST_SHIFT = 62
-ABOVE = 1.01  # factor by which the peak of a state is increased, to allow for rounding
-# the largest change of a force per sample has at least this many units; rounding it down then costs at most 6 %
+ABOVE = 1.01  # factor that enlarges the peak of a state, to allow for rounding
+# the largest change of a force per sample is at least this many integer units; rounding the change down then reduces it by at
+# most 6 %
 LEAST_CHANGE = 16
-# Relative size below which the rest of a response is neglected, number of samples computed together, and largest number of
-# samples
+# Relative size below which the rest of an impulse response is neglected, number of samples that are computed together, and
+# largest number of samples
 DECAYED, CHUNK, MOST_SAMPLES = 1e-9, 256, 1_000_000
 
 
@@ -106,7 +107,7 @@ def fixed_point(
     A, B, C, D, largest = law.A, law.B, law.C, law.D, 2 ** (BITS[numbers] - 1) - 1
     m, k = len(D), len(A)
     A_own, pushed = A, B * ranges
-    if L is not None:  # law whose input is the acting force, whether the force is clipped or not
+    if L is not None:  # law whose input is the acting force, so that the law is the same whether the force is clipped or not
         A_own, pushed = A - L @ C, np.hstack([(B - L @ D) * ranges, L * (limit or 0.0)])
     if k and np.abs(np.linalg.eigvals(A_own)).max() >= 1 - 1e-12:
         raise InputError(f"{numbers} needs bounded states, but a state of this law does not decay; give double or float")

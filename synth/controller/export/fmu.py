@@ -28,8 +28,9 @@ NAMES_OF_FMI_2 = {
     "FMUState": "FMUstate",
     "^Deserialize": "DeSerialize",
     "ContinuousStateDerivatives": "Derivatives",
-}  # keys are names in FMI 3, values are names in FMI 2
-# Target names of Zig, by version of FMI and by the folder of the binary. In FMI 2, one binary for a Mac serves both processors.
+}  # each key is a name in FMI 3, and its value is the name in FMI 2
+# Names of Zig's compilation targets, by version of FMI and by the folder of the binary. In FMI 2, a single binary for the Mac
+# serves both processors.
 TARGETS = {
     2: {
         "linux64": ("x86_64-linux-gnu.2.17",),
@@ -44,9 +45,10 @@ TARGETS = {
         "aarch64-darwin": ("aarch64-macos",),
     },
 }
-# type and subtype of the processor in a Mach-O file
+# numbers of type and subtype of the processor in a Mach-O file
 PROCESSORS = {"x86_64-macos": (0x0100_0007, 3), "aarch64-macos": (0x0100_000C, 0)}
-FAT, ALIGNED = 0xCAFE_BABE, 14  # start of a Mach-O file for several processors; its parts are aligned to 2**14 bytes
+# number at the start of a Mach-O file for several processors, whose parts are aligned to 2**14 bytes
+FAT, ALIGNED = 0xCAFE_BABE, 14
 LIBRARY = "-shared -fPIC -fvisibility=hidden"
 PAGE = "<!DOCTYPE html>\n<html><head><title>{title}</title></head><body><pre>{about}</pre></body></html>\n"
 EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -24,7 +24,8 @@ BASE = {
 }
 RATES = {"m/s": "m/s2", "m/s2": "m/s3", "rad/s": "rad/s2"}
 CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError")
-STEP, SAMPLES = 0.001, 1000  # step of a system without sample period [s], and number of samples of the default experiment
+# timestep of a system that has no sample period [s], and number of samples in the default experiment
+STEP, SAMPLES = 0.001, 1000
 Attributes = Mapping[str, str | float | bool | None]
 
 
@@ -155,7 +156,8 @@ def _variables(model: FmuModel, version: int) -> list[str]:
     first = len(model.inputs) + len(model.outputs)
     for i, one in enumerate(model.states):
         kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
-        of = first + i + (1 if version == 2 else 0)  # FMI 2 uses an index from 1, and FMI 3 uses the value reference
+        # FMI 2 numbers variables with an index from 1; FMI 3 uses the value reference
+        of = first + i + (1 if version == 2 else 0)
         rows.append((f"der({one.name})", f"derivative of {one.name}", kind, {"unit": _rate(one), "derivative": of}))
     if version == 3:
         time = {"causality": "independent", "variability": "continuous"}
@@ -173,7 +175,7 @@ def _variables(model: FmuModel, version: int) -> list[str]:
 def _structure(model: FmuModel, version: int) -> list[str]:
     m, p, n = len(model.inputs), len(model.outputs), len(model.states)
     index = 1 if version == 2 else 0
-    known = [*range(m), *range(m + p, m + p + n)]  # value references of inputs and states
+    known = [*range(m), *range(m + p, m + p + n)]  # value references of the inputs and of the states
     unknown = [*range(m, m + p), *range(m + p + n, m + p + 2 * n)]
 
     def row(i: int, name: str, kinds: bool = True) -> str:

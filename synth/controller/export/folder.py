@@ -24,10 +24,10 @@ from synth.controller.export.compiled import ExportedCode
 from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
-INVALID = 50  # one of this many test vectors has an input that is not finite
+INVALID = 50  # one in this many test vectors has an input that is not finite
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 CERTIFICATES = "certificates"  # name of the folder with the LMI certificates
-SAME = 1e-9  # relative difference between tables that rounding on another machine may cause
+SAME = 1e-9  # relative difference between two tables that rounding may cause between two computers
 
 
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
@@ -279,7 +279,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
         raise InputError(f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.start()  # raises an error before the simulations start if the code cannot be built
+    code.start()  # this call raises an error before the simulations start if the code cannot be built
     return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
@@ -287,7 +287,7 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool
     """Returns True if exporting a controller with the name, number format and ranges of `law` gives the same law."""
     try:
         other = exported_law(vehicle, driver, law.numbers, law.name, law.largest)
-    except InputError:  # the controller cannot be exported in this form
+    except InputError:  # this controller cannot be exported with these options
         return False
     same = ("inputs", "outputs", "limit", "change", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
     tables = [(getattr(law.law, name), getattr(other.law, name)) for name in MATRICES]

@@ -15,9 +15,9 @@ from synth.controller.export.linear_system import signals_of, vehicle_system
 from synth.controller.report import study_notes
 
 VEHICLE, QUOTE = "vehicle", "'"
-TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # contains no date, so that the same content gives the same bytes
-LONGEST = 63  # largest number of characters of a name, both in MATLAB and in a file of version 5
-RESERVED_WORDS = {  # words reserved by MATLAB, and variables of the script
+TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # the text contains no date, so that the same content always gives the same bytes
+LONGEST = 63  # largest number of characters in a name, both in MATLAB and in a file of version 5
+RESERVED_WORDS = {  # words that MATLAB reserves, and names of the script's own variables
     *("break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if", "otherwise"),
     *("parfor", "persistent", "return", "spmd", "switch", "try", "while", "file", "loop", "plant"),
 }

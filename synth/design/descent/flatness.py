@@ -9,9 +9,9 @@ from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant
 
-SMALLEST = 1e-4  # size of the first step, relative to the scale of a gain entry
-# number of steps, each four times the previous one, after which a change counts as unlimited. The bisections that follow give
-# the change to within a hundredth
+SMALLEST = 1e-4  # size of the first step, relative to the scale of the gain entry
+# Number of steps, each four times as long as the previous one; if all of them are allowed, the change counts as unlimited. Then
+# number of bisections, which determine the allowed change to within 1 %
 STEPS, HALVINGS = 16, 8
 
 
@@ -30,7 +30,7 @@ def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Arra
     x = landscape.point(K)
     allowed = landscape.norm(x)[0] * (1 + share)
     q = K.shape[1]
-    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # index in x of each entry
+    largest = np.abs(K).argmax(axis=0) * q + np.arange(q)  # position of each gain entry in x
 
     def stays(i: int, move: float) -> bool:
         there = x.copy()

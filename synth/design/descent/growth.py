@@ -13,9 +13,9 @@ import numpy as np
 
 from models.common.arrays import Array
 
-WORTH = 1e-3  # smallest relative decrease of a norm or a goal that justifies a doubling of the gain
-STAGES = 20  # largest number of stages, which allows a growth by 2^20
-SAME = 1e-6  # a relative change smaller than this counts as no growth, or as no decrease
+WORTH = 1e-3  # the gain may double again only if the norm or a goal has decreased by at least this relative amount
+STAGES = 20  # largest number of stages, each of which may double the gain, so that the gain may grow by a factor of 2^20
+SAME = 1e-6  # a growth or a decrease by less than this relative amount does not count
 
 Value = TypeVar("Value")
 

@@ -37,8 +37,8 @@ from synth.plant.generalized import Plant
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and has no type stubs.
 
-FAR = 1e4  # frequency that counts as close to infinity, as a multiple of the fastest pole
-POLES = 0.3  # work for computing only the poles, as a share of the work for a norm
+FAR = 1e4  # a frequency above this multiple of the fastest pole counts as infinite
+POLES = 0.3  # work of computing the poles alone, as a share of the work of computing a norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +123,9 @@ def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, r
     return middle
 
 
-NEAR = 1e-9  # relative; the search for the peak ends if the norm does not exceed the best value by more than this amount
-ALIKE = 0.02  # relative difference below which eigenvalues count as equal
-MOST_ALIKE = 3  # largest number of similar singular values that are considered at a frequency
+NEAR = 1e-9  # the search for the peak ends if the norm exceeds the best value by less than this relative amount
+ALIKE = 0.02  # eigenvalues count as equal if their relative difference is smaller than this
+MOST_ALIKE = 3  # largest number of similar singular values that are considered at one frequency
 
 
 class Work:
@@ -180,7 +180,8 @@ class Landscape:
         columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(plant.Cy, axis=1)
         rate = float(np.linalg.norm(A, 2)) or 1.0
         columns = np.where(columns > 0, columns, 1.0)
-        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)  # for measurements that contain only forces
+        # this case occurs if all measurements contain only forces
+        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
         self.free = None if structure is None or np.all(structure) else np.flatnonzero(structure)
@@ -212,7 +213,7 @@ class Landscape:
             return K
         if x.ndim == 1:
             return self.after(x) @ K
-        with contextlib.suppress(np.linalg.LinAlgError):  # one of the loop equations has no solution
+        with contextlib.suppress(np.linalg.LinAlgError):  # an equation of the loop has no solution
             return np.linalg.solve(np.eye(self.shape[0]) - K @ self.plant.Dyu, K)
         return np.full_like(K, np.nan)
 
@@ -305,7 +306,7 @@ class Landscape:
             gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
                 best, at = gain, float(omega[i])
-            elif turn or best == 0:  # in the first iteration, a peak far from all poles may still exceed the gain at infinity
+            elif turn or best == 0:  # in the first iteration, a peak far from all poles may be higher than the gain at infinity
                 break
             if best > above:
                 break
@@ -383,7 +384,7 @@ class Landscape:
         T, Tu, Tw = left @ loop.Bw + loop.Dw, left @ loop.B + loop.D, loop.Cy @ right + loop.Dyw
         Ty = loop.Cy @ R @ loop.B + loop.Dyu
         Tu_rate, Tw_rate = -1j * (left @ R @ loop.B), -1j * (loop.Cy @ R @ right)
-        # First derivatives of T v and T' u with respect to the entries of x, then with respect to omega.
+        # First derivatives of T v and of T' u with respect to the entries of x, and then with respect to omega.
         seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
         along = self.of_entries(Tu[:, :, :, None] * driven[:, None, None, :] * self.scale)
         back = self.of_entries((seen[:, None, :, None] * Tw.swapaxes(1, 2)[:, :, None, :]).conj() * self.scale)
@@ -451,8 +452,8 @@ class Landscape:
         return T.reshape(len(omega), *modes.loop.Dw.shape) + modes.loop.Dw
 
 
-# smallest variance of a combination of measurements or of forces, relative to the largest variance; smaller values count as
-# this value
+# smallest variance of a combination of measurements or of forces, relative to the largest variance. Smaller variances are
+# replaced by this value
 SMALLEST = 1e-12
 
 
@@ -461,7 +462,7 @@ def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
     loop = landscape.loop(x)
     triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
-    # Gramians of controllability from w and of observability from z. At the stability limit, LAPACK perturbs the poles
+    # Controllability Gramian from w, and observability Gramian to z. At the stability limit, LAPACK perturbs the poles
     # slightly; the result is accurate enough for scaling.
     reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")
     seen, other, _ = lapack.dtrsyl(triangle, triangle, -z.T @ z, trana="T", tranb="N")

@@ -29,17 +29,19 @@ from synth.design.descent.landscape import Landscape, balanced_coordinates
 from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
-STALLED_DECREASE = 1e-4  # smallest decrease over seven rounds that counts as progress, for a function with values of order one
+# the descent has stalled if a function with values near one decreases by less than this over seven rounds
+STALLED_DECREASE = 1e-4
 
 STAGE = 30  # number of rounds in a stage
-WORTH_A_STAGE = 3e-5  # smallest relative decrease of the norm in a stage for which another stage follows
+WORTH_A_STAGE = 3e-5  # another stage follows only if the norm decreased by at least this relative amount in the last stage
 ENDING_DECREASE = 1e-5  # a stage ends if the norm decreases by less than this relative amount over `OVER` rounds
 
-NEAR = 0.7  # share of a limit; the first solution already includes the limits on entries that are larger than this share
+NEAR = 0.7  # the first solution already includes the limits of all entries that are larger than this share of their limit
 
-# a bound that is exceeded by less than this relative amount counts as fulfilled, because the bounds contain a larger margin
+# a bound that is exceeded by less than this relative amount counts as fulfilled. The bounds were tightened by more than this
+# amount
 BOUND_TOLERANCE = 1e-9
-POINTS = 3  # number of points with stored values: the last point and the points of trial steps
+POINTS = 3  # number of points whose values are stored: the last point and the points of trial steps
 
 Function = Callable[[Array], tuple[float, Array]]
 
@@ -114,8 +116,9 @@ class Evaluation:
         return self.excess <= BOUND_TOLERANCE
 
 
-Model = list[tuple[int, Linearisation]]  # functions that approximate the terms near a point, each with the index of its term
-Cuts = list[tuple[int, Any]]  # data that identifies the functions, with the index of the term to which they belong
+# functions that approximate the terms near a point, each with the index of the term that it approximates
+Model = list[tuple[int, Linearisation]]
+Cuts = list[tuple[int, Any]]  # data from which the functions are identified, with the index of the term that they approximate
 
 
 class MinimaxProblem:
@@ -158,7 +161,7 @@ class MinimaxProblem:
             if goal > above:
                 return Evaluation(goal, excess, (i, j))
         for k, term in enumerate(self.bounds):
-            most = above / goal - 1 if goal > 0 else np.inf  # limit for penalty times excess
+            most = above / goal - 1 if goal > 0 else np.inf  # limit on the product of the penalty and the excess
             beyond = self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1
             excess, j = (beyond, k) if beyond > excess else (excess, j)
             if penalty * excess > most:
@@ -198,11 +201,13 @@ class MinimaxProblem:
         return [(i, terms[i].reevaluate(x, each)) for i, each in cuts]
 
 
-FIRST, LARGEST = 4.0, 1e6  # initial and largest penalty: relative increase of the goals per relative violation of a bound
+# initial and largest penalty. A relative violation v of a bound counts as much as a relative increase of the goals by v times
+# the penalty
+FIRST, LARGEST = 4.0, 1e6
 FLAT = 1e-7  # the descent ends if the relative decrease over `OVER` rounds is smaller than this
 OVER = 10
 MOST_PAIRS = 400
-LITTLE = 1e-3  # functions with a smaller weight are neglected in the curvature
+LITTLE = 1e-3  # a function with a smaller weight does not contribute to the curvature
 
 
 def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
@@ -256,7 +261,7 @@ def descend(
         The final point, and its evaluation.
     """
     walk = _Walk(minimax, x, M, settled, flat)
-    with up_to_rounding():  # at the stability limit of a loop, rounding errors may end the descent
+    with up_to_rounding():  # rounding errors may end the descent if a loop is at the stability limit
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
                 break
@@ -270,7 +275,8 @@ class _Walk:
     def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float, flat: float) -> None:
         self.minimax, self.x, self.M, self.settled, self.flat = minimax, x, M, settled, flat
         self.evaluation = minimax.evaluate(x)
-        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # scales t so that a typical step has a size of one
+        # t is scaled so that a typical step has the size one
+        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:
             (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
@@ -285,7 +291,7 @@ class _Walk:
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
         """Returns the step that minimises the model, the weights of goals and bounds, and the predicted decrease."""
         (v, s), (c, w) = goals, bounds
-        values = np.append(0.0, self.penalty * c)  # the first value represents the case that no bound is violated
+        values = np.append(0.0, self.penalty * c)  # the first value stands for the case that no bound is violated
         slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
@@ -322,7 +328,7 @@ class _Walk:
             self.hessian = convex(M.T @ curvature @ M, self.damping)
         t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
-            self.penalty *= 4  # the step violates a bound that a step with a larger penalty would fulfil
+            self.penalty *= 4  # the step violates a bound, but a step with a larger penalty would fulfil the bound
             t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         if fall < self.settled:
             return False
@@ -336,11 +342,11 @@ class _Walk:
             there = self.at(x + length * move, allowed)
             if self.merit(there) <= allowed:
                 break
-            if np.isfinite(self.merit(there)):  # the model lacks the functions that are largest at this point
+            if np.isfinite(self.merit(there)):  # the model does not contain the functions that are largest at this point
                 beyond += minimax.cut(x + length * move, there)
                 if not corrected:
-                    # The edges of the function are curved. The model therefore uses the linear functions at the end of the step
-                    # (second-order correction).
+                    # The edges of the function are curved. The model therefore uses the linearised functions at the end of the
+                    # step (second-order correction).
                     corrected = True
                     better = self.corrected(x + move, t)
                     there = self.at(x + better, allowed)
@@ -352,7 +358,7 @@ class _Walk:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
             self.kept_cuts += beyond
             return True
-        # tries longer steps, because the minimum may be far away or at infinity
+        # longer steps are tried, because the minimum may be far away or at infinity
         while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):
             needed = self.merit(there) - 0.1 * length * fall * here
             further = self.at(x + 3 * length * move, needed)
@@ -371,7 +377,7 @@ class _Walk:
         return self.minimax.evaluate(x, allowed, self.penalty)
 
     def corrected(self, end: Array, t: Array) -> Array:
-        """Returns a corrected step t, computed with the functions at the end of the first step, shape (N,)."""
+        """Returns a corrected step t, shape (N,). The step is computed with the function values at the end of the first step."""
         goal, depth = self.evaluation.goal, self.depth
         count = len(self.minimax.goals)
         model = [(i, term.support(end, goal if i < count else 1.0, depth)) for i, term in enumerate(self.minimax.terms)]
@@ -420,7 +426,7 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
     far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
     bounds = (values - values.max()) / far + far
-    moves = np.vstack([M, -M]) @ inverse  # distances to the upper limits, then to the lower limits
+    moves = np.vstack([M, -M]) @ inverse  # the distances to the upper limits are followed by the distances to the lower limits
     room = np.concatenate([limit - x, limit + x])
     at_limit = room < NEAR * np.tile(limit, 2)
     while True:

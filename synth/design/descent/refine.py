@@ -18,8 +18,8 @@ from synth.design.problem import SEEN
 from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-ROUNDS = 60  # largest number of rounds in a stage; a stage usually ends sooner
-GLANCE = 5  # number of rounds after which `worth_refining` estimates the decrease
+ROUNDS = 60  # largest number of rounds in a stage; most stages end sooner
+GLANCE = 5  # number of rounds from which `worth_refining` estimates the possible decrease
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +103,8 @@ def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
 
     x, norm, refused = lower_by_growth(x, before, lower, lambda norm, reached: 1 - reached / norm)
     first, size = float(np.abs(start).max()), float(np.abs(x).max())
-    # The descent uses the norms of the landscape. The comparison of start and end uses the norms of the actual closed loops.
-    # For a discrete plant, these norms are also returned.
+    # The descent uses the norms that the landscape computes. The start and the end are compared by the norms of the actual
+    # closed loops. For a discrete plant, these norms are also returned.
     gain = landscape.gain(x)
     own_before, own_after = own_norm(plant, K), own_norm(plant, gain)
     first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
@@ -135,8 +135,8 @@ def worth_refining(plant: Plant, K: Array) -> float:
     _, reached = descend_norm(landscape, x, np.full(len(x), size), GLANCE)
     if reached < before * (1 - SEEN):
         return 1 - reached / before
-    # The norm does not decrease without a larger gain. The estimate is then the decrease for the first doubling of the gain, if
-    # it is worthwhile.
+    # The norm decreases only with a larger gain. The estimate is then the decrease for the first doubling of the gain, if this
+    # decrease is worthwhile.
     landscape = Landscape(plant)
     x, norm = descend_norm(landscape, x, np.full(len(x), size), ROUNDS)
     _, reached = descend_norm(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)

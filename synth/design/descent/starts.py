@@ -35,13 +35,13 @@ from synth.design.full_order.riccati import state_gain
 from synth.plant.generalized import Plant
 from synth.plant.units import size
 
-SMALLEST = -2  # decade of the smallest random gains, in the units of the landscape
+SMALLEST = -2  # exponent of ten of the smallest random gains, in the units of the landscape
 SAMPLES = 1000  # number of random gains in each decade
-WIDE = 30  # if there are more states, fewer random gains are drawn, so that computing their poles takes the same time
+WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles takes the same time
 FEWEST = 20  # smallest number of random gains
-CLOSER = 24  # number of stabilising gains per decade whose norm is computed
+CLOSER = 24  # number of stabilising gains in each decade for which the norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call
-SPREAD = 1.5  # number of decades, in both directions, over which the scale of an input or of a measurement varies
+SPREAD = 1.5  # number of decades by which the scale of an input or of a measurement varies, upwards and downwards
 SEED = 20261121
 
 
@@ -108,9 +108,10 @@ def _directions(generator: np.random.Generator, count: int, shape: tuple[int, in
     return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
-# additional costs of every state and force, relative to z, that are tried so that the Riccati equation has a solution
+# Costs that are added to every state and every force, relative to z. They are tried in turn so that the Riccati equation has a
+# solution
 COUNTS = (1e-8, 1e-4, 1e-2)
-# power of an additional disturbance of every state, relative to the power of w, for states that w does not affect
+# power of a disturbance that is added to every state, relative to the power of w, because w may not affect all states
 EVERYWHERE = 1e-6
 
 
@@ -118,7 +119,7 @@ def projected_starts(landscape: Landscape) -> list[Array]:
     """Returns the points that are closest to state feedbacks from Riccati equations, shape (N,) each."""
     plant = landscape.plant
     A, Cy, C, (n, m) = plant.A, plant.Cy, plant.C, plant.B.shape
-    # unit in which a force of one moves the states about as fast as they move without control
+    # a force of one unit moves the states about as fast as they move without control
     unit = size(A) / size(plant.B)
     B, D = plant.B * unit, plant.D * unit
     noise = plant.Bw @ plant.Bw.T
@@ -160,12 +161,13 @@ def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
 
 # a point counts as stable if the largest real part of its poles, relative to the plant's fastest pole, is below this value
 STABLE = -1e-4
-SHIFT_BEYOND = 0.03  # distance of the shift to the right of the rightmost pole, relative to the fastest pole of the plant
+# the stability limit is shifted to the right of the rightmost pole by this distance, relative to the plant's fastest pole
+SHIFT_BEYOND = 0.03
 
 MOST_SHIFTS = 40
-ROUNDS = 100  # largest number of rounds of the descent on the largest real part
-OF_ALL = 2.0  # work for a norm from every state to every state, relative to the work for the plant's norm
-# the descent stops if the largest real part has not decreased below this share within this number of shifts
+ROUNDS = 100  # largest number of rounds in the descent that reduces the largest real part of the poles
+OF_ALL = 2.0  # work of computing a norm from every state to every state, relative to the work of computing the plant's norm
+# the descent stops if, after this number of shifts, the largest real part has not decreased to this share of its earlier value
 STALLED_SHIFTS = 0.92, 5
 
 

@@ -76,7 +76,7 @@ class NormTerm(Term):
 
     def __init__(self, landscape: Landscape, unit: float = 1.0, name: str = "") -> None:
         self.landscape, self.unit, self.name = landscape, unit, name
-        self.peak = np.inf  # peak frequency at the last point [rad/s]
+        self.peak = np.inf  # frequency of the peak at the last point [rad/s]
 
     def value(self, x: Array, above: float = np.inf) -> float:
         """Returns the norm."""

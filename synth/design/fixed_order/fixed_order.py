@@ -51,16 +51,16 @@ from synth.plant.units import speed
 # limits on the entries of a gain, tried in this order until the poles are slow enough. In these units, a gain of 1 moves poles
 # to about the speed of the plant's own poles
 LIMITS = (100.0, 10.0, 3.0)
-AT_LIMIT = 0.999  # an entry above this share of a limit counts as stopped by the limit
+AT_LIMIT = 0.999  # an entry above this share of its limit counts as stopped by the limit
 # if a limit stopped a descent, the descent continues with the limit multiplied by one of these factors
 WIDER = (1e4, 100.0, 10.0)
-POLES = (0.1, 1.0, 10.0)  # poles of an additional state, relative to the plant's speed
-READS = 0.1  # gain from the measurements to an additional state, in the units of `LIMITS`
-SHARES = (1e-1, 1e-2, 1e-3)  # shares of noise and cost that are added in the design of full-order laws
-MARGINS = (1e-2, 1e-1, 1.0)  # distances of gamma above the smallest feasible gamma, in the design of full-order laws
-STARTS_OF_A_KIND = 4  # number of starts from which descents begin, per origin of starts
-FEW = 2  # number of stabilising starts that are sought for a static gain if the law may also have states
-SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # shifts of the poles of a law, relative to the plant's speed
+POLES = (0.1, 1.0, 10.0)  # initial poles of a state that is added to the law, relative to the plant's speed
+READS = 0.1  # initial gain from the measurements to a state that is added to the law, in the units of `LIMITS`
+SHARES = (1e-1, 1e-2, 1e-3)  # relative amounts of noise and control cost that are added in the design of full-order laws
+MARGINS = (1e-2, 1e-1, 1.0)  # relative distances of gamma above the smallest feasible gamma, in the design of full-order laws
+STARTS_OF_A_KIND = 4  # number of starting points, for each method that finds them, from which a descent begins
+FEW = 2  # number of stabilising starts that are sought for a static gain if a law with states is also allowed
+SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # distances by which the poles of a law are shifted, relative to the plant's speed
 SEED = 20261126
 NO_LAW = "no law of this structure with a stable loop was found; measure more signals, or allow more states"
 CAPPED_REMARK = "an entry of the law is at the limit of the search: a larger entry may give a lower norm, but faster poles"
@@ -227,7 +227,7 @@ class _Search:
                 if self.work.over or found.certificate.norm.value <= self.enough:
                     break
             if 0 < one.order < order and self.work.done > self.work.limit / 2:
-                continue  # the remaining work is reserved for the requested order
+                continue  # the rest of the available work is reserved for the requested order
             starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full) if one.order]
             if found is not None:
                 starts += [(law, "a law with one state less") for law in self.appended(one, found.law)]

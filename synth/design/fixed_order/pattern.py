@@ -18,7 +18,7 @@ from models.laws.linear import LinearLaw
 from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant, gain_law, law_gain
 
-SWEEPS = 10  # iterations of balancing
+SWEEPS = 10  # number of iterations that balance the law
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
         return _on_filters(structure, rows, plant)
     each, count = structure.order, len(rows)
     k = each * count
-    owner = np.repeat(np.arange(count), each)  # force to which each state of the law belongs
+    owner = np.repeat(np.arange(count), each)  # force to which each state of the law contributes
     own = np.equal.outer(owner, owner)
     if structure.rows is None:
         free = np.ones((m + k, q + k), dtype=bool)

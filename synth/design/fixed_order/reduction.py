@@ -76,7 +76,7 @@ def bilinear(law: LinearLaw, period: float) -> LinearLaw:
 def _gramian(A: Array, B: Array, dt: float | None) -> Array:
     square = B @ B.T
     with warnings.catch_warnings():
-        # poles that nearly cancel give a poor reduction, but other methods follow
+        # poles that nearly cancel give a poor reduced law, but other reduction methods follow
         warnings.simplefilter("ignore", RuntimeWarning)
         gramian = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
     return (gramian + gramian.T) / 2

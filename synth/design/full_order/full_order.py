@@ -34,7 +34,7 @@ from synth.plant.generalized import Plant, check_inputs, check_posed, gain_law, 
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 RICCATI = "Riccati equations for the least norm"
-SINGULAR = 1e-12  # relative size below which a value counts as zero
+SINGULAR = 1e-12  # a value below this relative size counts as zero
 
 
 def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLaw:
@@ -67,11 +67,12 @@ def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLa
     return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + K0, dt)
 
 
-BEYOND = 10.0  # largest gain that is tried, as a multiple of the gain that moves poles to the allowed speed
-SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # factors that reduce a gain in steps of 5 %
-STAGES, ROUNDS = 20, 60  # largest number of stages in the descent of a law, and of rounds in each stage
+BEYOND = 10.0  # largest gain that is tried; in this unit, a gain of 1 moves poles to the allowed speed
+# factors that multiply a gain; each is about 5 % smaller than the previous one
+SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]
+STAGES, ROUNDS = 20, 60  # largest number of stages in the descent of a law, and largest number of rounds in each stage
 LEAST_FALL = 3e-4  # the descent ends if a stage lowers the norm by less than this relative amount
-MOST = 100  # largest number of entries of a law for which a descent takes no more than seconds
+MOST = 100  # largest number of entries for which the descent of a law takes no more than seconds
 
 
 def numbers(search: RiccatiSearch) -> int:
@@ -100,7 +101,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     landscape = Landscape(own.with_states(start.own.states))
     x, enough = landscape.point(law_gain(start.own)), search.bound * (1 + BOUND_TOLERANCE)
     norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
-    # in the first stage, the largest entry must not grow; in each further stage, it may double
+    # in the first stage, the largest entry of the law must not grow; in each later stage, it may double
     for stage in range(STAGES if np.isfinite(norm) else 0):
         most = float(np.abs(x).max()) * (2 if stage else 1)
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
@@ -126,20 +127,21 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant):
         return []
-    # In internal units, a gain of one moves poles to about one, for a plant without feedthrough. A fast loop needs a larger
+    # In internal units, a gain of one moves the poles of a plant without feedthrough to about one. A faster loop needs a larger
     # gain.
     largest = max(LARGEST_GAIN, BEYOND * fastest * search.fastest / own.rate)
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
         gain = static_output_feedback(own.plant, None, largest, LowerBound(search.bound), rival=rival * own.norm).gain
         points.append(search.judged(0.0, static_law(gain)))
-        # If the poles with this gain are too fast, a slower gain lies on the line between no control and this gain.
+        # If this gain gives poles that are too fast, a gain with slower poles lies on the line between no control and this
+        # gain.
         fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
         points.append(lowest(each for each in fractions if each is not None and each.speed_up <= fastest))
     return [each for each in points if each is not None]
 
 
-# fastest allowed pole of a discrete loop, as a multiple of 1/dt in the continuous counterpart. This pole corresponds to z =
-# -1/3, twice as fast as z = 0. An actuator that sets a force at each sample can follow
+# Fastest allowed pole of a discrete loop. The unit is 1/dt in the continuous counterpart of the loop, where this pole
+# corresponds to z = -1/3, twice as fast as z = 0. An actuator that sets a force at each sample can follow
 DEADBEAT = 4.0
 
 

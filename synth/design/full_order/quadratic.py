@@ -31,11 +31,11 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", without its direct effect on z, whose power is infinite"
-# noise that is assumed for a measurement without noise, and cost that is assumed for a force without cost, in the plant's
-# internal units
+# noise that a measurement without noise is assumed to have, and cost that a force without cost is assumed to have, in the
+# plant's internal units
 ASSUMED_SIZE = 1e-2
-NOTHING = 1e-13  # in the plant's internal units; a smaller value is zero with a rounding error
-LITTLE = 1e-6  # in the plant's internal units; a smaller noise or cost may be the reason for a failure
+NOTHING = 1e-13  # a value smaller than this is zero up to rounding, in the plant's internal units
+LITTLE = 1e-6  # a smaller noise or cost may be the cause of a failure, in the plant's internal units
 
 
 def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
@@ -311,10 +311,10 @@ def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> A
 def _regulator(plant: Plant, more: Array, advice: str) -> Array:
     """Returns the gain K, shape (m, n), for which u = K x minimises the mean square of [C x + D u; `more` u]."""
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
-    if not B.shape[1]:  # no force has an effect
+    if not B.shape[1]:  # no force has any effect
         return np.zeros((0, len(A)))
     turned, sizes, directions = np.linalg.svd(np.vstack([D, more]), full_matrices=False)
-    each = directions.T / sizes  # combinations of inputs that have a cost of one and no cross terms
+    each = directions.T / sizes  # combinations of inputs whose cost is one, without cross terms
     B, D = B @ each, turned[: len(D)]
     try:
         X = _stabilising_solution(A, B, C.T @ C, np.eye(len(sizes)), C.T @ D)

@@ -50,9 +50,9 @@ from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
 
-RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual, relative to the largest term, is smaller than this
-NEGATIVE = 1e-9  # relative to the largest eigenvalue; rounding may make a zero eigenvalue negative by this amount
-EDGE = 1e-9  # a spectral radius whose relative distance from gamma^2 is smaller counts as too large
+RESIDUAL = 1e-6  # a Riccati equation counts as solved if its residual is smaller than this, relative to its largest term
+NEGATIVE = 1e-9  # rounding may make a zero eigenvalue negative by this amount, relative to the largest eigenvalue
+EDGE = 1e-9  # a spectral radius counts as too large if it is closer to gamma^2 than this relative distance
 
 
 def central_law(plant: Plant, gamma: float) -> LinearLaw:
@@ -68,8 +68,8 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
         InfeasibleError: no law has this norm, or rounding prevents finding it.
     """
     A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, plant.Dyw.shape, gamma**2
-    turn_z, from_u = _last(plant.D)  # turn_z' D from_u = [0; I]
-    turn_w, from_y = _last(plant.Dyw.T)  # turn_w' Dyw' from_y = [0; I]
+    turn_z, from_u = _last(plant.D)  # the product turn_z' D from_u is [0; I]
+    turn_w, from_y = _last(plant.Dyw.T)  # the product turn_w' Dyw' from_y is [0; I]
     B1, B2, C1, C2 = plant.Bw @ turn_w, plant.B @ from_u, turn_z.T @ plant.C, from_y.T @ plant.Cy
     D11, i, j = turn_z.T @ plant.Dw @ turn_w, d - m, r - q
     D1111, D1112, D1121, D1122 = D11[:i, :j], D11[:i, j:], D11[i:, :j], D11[i:, j:]
@@ -143,7 +143,8 @@ def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     Raises:
         LinAlgError: the dimension of the stable subspace is not n, or the first block of its basis is singular.
     """
-    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))  # in double precision; no example arrays are needed
+    # without example arrays, scipy returns the routines for double precision
+    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))
     n, m = B.shape
     H, J = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n))
     H[:n, :n], H[:n, 2 * n :] = A, B
@@ -171,7 +172,8 @@ def _size(matrix: Array) -> float:
     return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
 
 
-# Hankel singular values below this fraction of the largest are negligible, because they are accurate to only half of all digits
+# Hankel singular values below this fraction of the largest one are neglected, because only half of the digits of a Hankel
+# singular value are accurate
 CANCELS = 1e-6
 
 
@@ -231,13 +233,14 @@ def _root(A: Array, B: Array) -> Array:
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # the search ends if the relative distance to the lower bound is smaller than this
-# shares: added noise and cost, relative to the disturbance of the states and to the weight of the states in z
+WITHIN = 1e-3  # the search ends if the relative distance of the norm above the lower bound is smaller than this
+# Shares: power of the added noise relative to the disturbance of the states, and added cost relative to the weight of the
+# states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
-STATES = 0.1  # additional disturbance and weight of all states, as a multiple of the share
-# if a share is sufficient, these multiples of the first sufficient share are also tried
+STATES = 0.1  # additional disturbance and additional weight of all states, as a multiple of the share
+# After the first share that is sufficient, these multiples of the share are also tried
 AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
-# relative amounts by which gamma may exceed the required value, because the actual norm is often smaller than gamma
+# relative amounts by which gamma may exceed the required norm, because the actual norm is often smaller than gamma
 REACHES = (0.0, 2e-3, 1e-2, 3e-2)
 MARGINS = (
     1e-3,
@@ -245,15 +248,16 @@ MARGINS = (
     1e-1,
     1.0,
 )  # relative distances of gamma above the smallest feasible gamma; a larger distance gives a slower law
-SAME = 1e-6  # the norm may rise by this relative amount if states of a law are omitted
+SAME = 1e-6  # states of a law are omitted only if the norm rises by less than this relative amount
 CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
-GRAIN = 2.0**-14  # step to which the base-2 logarithm of a number is rounded in `_coarse`
-PARTS = (1.0, 0.1)  # poles of a law that are faster than these multiples of `much` are removed
-OWN_PART = 0.3  # otherwise, only the poles of the law above this multiple of its own speed are removed
-PRICE = 1e-3  # relative decrease of the norm that justifies ten times the speed, for speeds above `much`
-HALVINGS = 4  # number of bisections between two shares, to come close to a limit on the speed
+GRAIN = 2.0**-14  # step to which `_coarse` rounds the base-2 logarithm of a number
+PARTS = (1.0, 0.1)  # the poles of a law that exceed one of these multiples of `much` are removed
+OWN_PART = 0.3  # otherwise, the poles above this multiple of the law's own speed are removed
+# above the speed `much`, a law may be ten times as fast only if its norm decreases by at least this relative amount
+PRICE = 1e-3
+HALVINGS = 4  # number of bisections between two shares that bring the law close to a speed limit
 ROUNDING_OF_GAIN = 1e-8  # relative rounding error of the gain at one frequency
-SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which the largest entries of the plant have size one
+SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which the largest entries of the plant are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -455,7 +459,7 @@ class RiccatiSearch:
 
     def traded(self, share: float, gamma: float) -> TradeOffPoint | None:
         """Returns the controller for a gamma and a share of noise and cost; None if no controller gives a stable loop."""
-        with contextlib.suppress(InputError):  # the problem is infeasible, or an entry of the law is too large
+        with contextlib.suppress(InputError):  # the problem has no solution, or an entry of the law is too large
             return self.judged(share, self.law(share, gamma))
         return None
 

@@ -21,11 +21,12 @@ from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import Plant, gain_law, law_gain
 
-# values of gamma relative to the lower bound; a smaller gamma gives a faster law whose norm is closer to the bound
+# values of gamma that are tried, relative to the lower bound; a smaller gamma gives a faster law with a norm closer to the
+# bound
 GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)
 STARTS = 2  # number of laws from which a descent starts
 LIGHTLY = 1e-3  # weight of the law's own states in the second plant, relative to the norm in internal units
-LARGER = 10.0  # largest allowed entry, relative to the largest entry of the start
+LARGER = 10.0  # largest allowed entry of the law, relative to the largest entry at the start of the descent
 
 
 def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
@@ -37,7 +38,7 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
         most: a descent continues from the best laws if a law has at most this number of entries.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
-    # A descent does not lead from a fast law to a slow law.
+    # A descent cannot turn a fast law into a slow law.
     laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: (each.excess > 1, each.norm))
     for start in laws[:STARTS]:
         if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.plant.Cy)) <= most:

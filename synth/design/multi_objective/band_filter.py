@@ -16,9 +16,10 @@ from synth.plant.augmented import append, gain, series, transfer_function, with_
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ORDER = 4  # even, because the poles of an odd order cannot always be represented by second-order sections if the band is wide
-RIPPLE = 0.02  # largest gain in the band [dB]
-BESIDE = 30.0  # attenuation outside the band [dB]
+# the order is even, because second-order sections cannot always represent the poles of an odd order if the band is wide
+ORDER = 4
+RIPPLE = 0.02  # largest gain of the filter in the band [dB]
+BESIDE = 30.0  # attenuation of the filter outside the band [dB]
 
 
 def in_band(plant: Plant, band: Band) -> Plant:
@@ -42,6 +43,6 @@ def band_filter(band: Band) -> StateSpace:
     low, high = band
     kind, edges = ("lowpass", high) if low == 0 else ("highpass", low) if np.isinf(high) else ("bandpass", [low, high])
     zpk = signal.ellip(ORDER, RIPPLE, BESIDE, edges, kind, analog=True, output="zpk")
-    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the format that `output` selects
+    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the option `output` selects this format
     sections = signal.zpk2sos(z, p, k * 10 ** (RIPPLE / 20), analog=True)
     return reduce(series, (transfer_function(section[:3], section[3:]) for section in sections))

@@ -10,7 +10,9 @@ from models.common.arrays import Array
 from synth.design.descent.terms import Linearisation, Term
 from synth.design.multi_objective.band_norm import BandLandscape
 
-NEAR = 0.3  # distance relative to the required decay rate; poles this close to the slowest pole are also considered
+# a pole is considered together with the slowest pole if its decay rate differs by less than this, relative to the required
+# decay rate
+NEAR = 0.3
 
 
 class Decay(Term):
@@ -67,7 +69,7 @@ class EnergyPeak(Term):
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
-        self.c = signal.c * landscape.balancing  # in the coordinates of the landscape
+        self.c = signal.c * landscape.balancing  # the point is in the coordinates of the landscape
 
     def value(self, x: Array, above: float = np.inf) -> float:
         """Returns the norm relative to its bound; infinite if the loop is unstable."""
@@ -99,7 +101,7 @@ class EnergyPeak(Term):
         square = float(c @ P @ c)
         if not square > 0:
             return 0.0, np.zeros(len(x))
-        # Half the derivative of c P c', with contributions of the dynamics, the signal, and the measurement noise.
+        # Half the derivative of c P c'. The dynamics, the signal and the measurement noise contribute to it.
         moved = loop.B.T @ Q
         half = moved @ P @ loop.Cy.T + np.outer(self.signal.g @ land.after(x), loop.Cy @ P @ c) + moved @ Bw @ loop.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit

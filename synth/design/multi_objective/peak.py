@@ -21,13 +21,13 @@ from synth.design.multi_objective.road_response import (
     step_for,
 )
 
-# time step, as the phase angle by which the fastest pole without control turns [rad]. The error of a peak of a cubic is then
-# below 1e-6 of its value
+# Timestep, given as the phase angle [rad] by which the fastest pole without control turns. If the signal is a cubic polynomial
+# near its peak, the relative error of the peak is then below 1e-6
 STEP = 0.1
-# number of periods of the slowest oscillation without control for which peaks are also searched after the end of the road
+# peaks are also searched for this many periods after the end of the road; the period is the longest period without control
 CYCLES = 2
-MOST = 20_000  # largest number of time steps
-SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the signal between two time steps is unknown
+MOST = 20_000  # largest number of timesteps
+SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the signal between two timesteps is unknown
 
 
 class RoadPeak(Term):
@@ -69,7 +69,7 @@ class RoadPeak(Term):
             top = np.flatnonzero((heights >= floor) & (heights >= around[:-2]))
             top = top[heights[top] > around[top + 2]]
             touching += [(sign, float(where[k]), float(heights[k])) for k in top]
-        if len(ends) and np.abs(ends).max() >= floor:  # the highest peak is at a kink
+        if len(ends) and np.abs(ends).max() >= floor:  # the highest peak is at a kink of the signal
             i = int(np.abs(ends).argmax())
             piece = self.response.pieces[i]
             touching.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
@@ -186,8 +186,8 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
             into, before, slope = piece.step, float(y[piece.step]), np.nan
         change = float(end) - before
         now = change / piece.length
-        # Away from a kink, the time derivative changes little from one interval to the next. Next to a kink, the bound includes
-        # the whole change of the signal.
+        # Away from a kink, the time derivative of the signal changes little from one interval to the next. Next to a kink, the
+        # bound allows for the whole change of the signal.
         over = abs(change) if piece.at_kink or np.isnan(slope) else min(abs(change), BEND * abs(now - slope) * piece.length / 4)
         highest = max(highest, max(abs(before), abs(float(end))) + over)
         before, slope = float(end), np.nan if piece.at_kink else now
@@ -196,7 +196,7 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
     """Returns the peak of the free motion after the last time step if it exceeds the known peak, and a bound on this motion."""
-    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # road height after the end of the road
+    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # height of the road after its end
     rest = np.linalg.solve(A, -(A @ driven.plant.Bw + driven.Br) @ z)
     level = float(c @ rest + (c @ driven.plant.Bw + driven.f) @ z)
     balanced, scale = balance(A)

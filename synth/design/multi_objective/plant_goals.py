@@ -16,7 +16,7 @@ from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import Plant
 
-MATRICES = "A", "B", "Bw", "C", "Cy"  # matrices whose shapes must agree for all plants of a family
+MATRICES = "A", "B", "Bw", "C", "Cy"  # matrices that must have the same shapes in all plants of a family
 
 
 def norms_of(goals: Goals) -> list[NormOf]:

@@ -213,8 +213,8 @@ class MultiObjectiveProblem(CheckedFields):
 
 
 TIGHTER = 1e-7  # relative margin by which bounds are tightened, to allow for rounding
-# relative amount by which the required decay rate is raised if there are errors. At the bound itself, nothing can be proved for
-# a whole box of errors
+# The required decay rate is raised by this relative amount if the gain has errors. At the required rate itself, nothing can be
+# proved for a whole box of errors
 AND_FOR_ERRORS = 0.02
 
 
@@ -240,7 +240,8 @@ def objectives_of(
                 landscape = problem.landscape(i, norm.which, norm.band, each, full)
                 bounds.append(NormTerm(landscape, norm.at_most * (1 - TIGHTER), norm.name))
             if rate:
-                bounds.append(decay(problem, minimised, rate))  # uses the same loop, whose poles have already been computed
+                # the decay bound uses the same loop, whose poles have already been computed
+                bounds.append(decay(problem, minimised, rate))
         for signal in member.signals:
             landscape = problem.landscape(i, which, band, problem.no_errors, full)
             bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))

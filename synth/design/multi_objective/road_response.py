@@ -18,13 +18,13 @@ from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
 NODES = 8  # number of quadrature nodes in a step
-SMALLER = 24  # number of times that a step is halved on the way to a kink
-NEXT = 1e-6  # share of a step; a kink that is closer to the end of a step is treated as if it were at the end
-FINE = 0.01  # time step, as the phase angle by which the fastest pole with control turns [rad]
+SMALLER = 24  # a step is halved this many times on the way to a kink
+NEXT = 1e-6  # a kink counts as being at the end of a step if it is closer to the end than this share of the step
+FINE = 0.01  # timestep, given as the phase angle [rad] by which the fastest pole with control turns
 MOST_FINE = 60_000  # largest number of steps on the road and shortly after it
-BLOCK, BLOCKS = 4096, 100  # number of steps per block of the later free motion, and largest number of blocks
-BEND = 2.0  # safety factor on the curvature between two times, which is estimated from the derivatives at these times
-ILL_CONDITIONED = 1e7  # if the condition number of the eigenvectors is larger, the recursion runs step by step
+BLOCK, BLOCKS = 4096, 100  # number of steps in a block of the free motion after the road, and largest number of blocks
+BEND = 2.0  # safety factor on the curvature between two times; the curvature is estimated from the derivatives at these times
+ILL_CONDITIONED = 1e7  # if the eigenvectors have a larger condition number, the recursion is computed step by step
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ class RoadResponse:
         self.piece_lengths = np.array([piece.length for piece in self.pieces])
         self.piece_nodes = np.array([piece.nodes for piece in self.pieces]).reshape(len(ends), *self.at_nodes.shape[1:])
         self.piece_steps = np.array([piece.step for piece in self.pieces], dtype=int)
-        self.piece_ends = ends - self.time[self.piece_steps]  # relative to the beginning of the steps
+        self.piece_ends = ends - self.time[self.piece_steps]  # times relative to the beginning of the steps
 
     def _split(self, k: int) -> list[QuadratureInterval]:
         """Splits a step with kinks into intervals."""
@@ -156,7 +156,7 @@ class RoadResponse:
 
     def motion(self, A: Array) -> tuple[Array, Array]:
         """Returns the motion xi for the loop matrix A at all times, shape (T, n), and at the ends of intervals, shape (P, n)."""
-        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # real if all poles are real
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # this value is real if all poles are real
         E = A @ self.driven.plant.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
@@ -165,7 +165,7 @@ class RoadResponse:
             sound, inverse = False, vectors
         if not sound:
             return self._step_by_step(A, E)
-        from scipy.signal import lfilter  # half a second
+        from scipy.signal import lfilter  # this import takes half a second
 
         # Only one mode of each conjugate pair is computed; its contribution is doubled.
         mask = np.imag(values) >= 0
@@ -176,7 +176,7 @@ class RoadResponse:
         decays = np.exp(self.piece_lengths[:, None] * values)
         kernel = self.piece_lengths[:, None, None] * self._kernel(values, self.piece_lengths[:, None, None])
         of_road = ((self.piece_nodes @ driven.T) * kernel).sum(axis=1)
-        # starts from zero at the beginning of the step; the previous motion is added later
+        # this motion starts from zero at the beginning of the step; the effect of the previous motion is added later
         for i, step in enumerate(self.piece_steps):
             if step != into:
                 into, state = step, np.zeros(len(values), complex)
@@ -193,7 +193,7 @@ class RoadResponse:
 
     def _modal(self, values: Array, driven: Array) -> Array:
         """Returns the contribution of the road to the modes in every step, shape (T, n), as one product of real matrices."""
-        weights = self.h * self._kernel(values, self.h)[:, None, :] * driven.T  # weight of each height at each node
+        weights = self.h * self._kernel(values, self.h)[:, None, :] * driven.T  # weight of each road height at each node
         flat, weights = self.at_nodes.reshape(len(self.at_nodes), -1), weights.reshape(-1, len(values))
         return flat @ weights.real + 1j * (flat @ weights.imag)
 
@@ -239,7 +239,7 @@ class RoadResponse:
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):
             root = np.sqrt(np.maximum(c2 * c2 - 3 * c3 * c1, 0.0))
-            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # written so that no digits cancel
+            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # this form of the sum loses no digits by cancellation
         best, where = values[:-1].copy(), np.zeros(len(c1))
         smooth = np.ones(len(c1), dtype=bool)
         smooth[[piece.step for piece in self.pieces]] = False

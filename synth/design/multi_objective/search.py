@@ -29,17 +29,19 @@ from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
-LARGEST_GAIN = 1e5  # largest entry of a gain without limit, in units of a point, while bounds are violated
-DEAREST = 32.0  # limit on the entries while a goal is lowered, as a multiple of one, or of the starting gain if it is larger
-MOST_VERTICES = 4  # if a box of errors has at most this many vertices, all of them are active from the beginning
-ENTERED_STARTS = 5  # number of starting points from which the search descends for some rounds
-GLANCE, ROUNDS = 15, 80  # number of rounds of a short and of a full descent
-TURNS = 12  # largest number of descents; each one includes more active errors
-TURNS_ON = 6  # number of short descents in `improvement`
-MET_TOLERANCE = 1e-6  # relative amount; errors that worsen a value by less are ignored
-# a descent ends at these relative decreases: while errors still violate the result, and for the final result
+LARGEST_GAIN = 1e5  # largest entry of an unlimited gain while bounds are violated, in the units of a point
+# limit on the entries while a goal is lowered, as a multiple of the starting gain, or of one if the starting gain is smaller
+DEAREST = 32.0
+MOST_VERTICES = 4  # if a box of gain errors has at most this many vertices, all vertices are active from the beginning
+ENTERED_STARTS = 5  # number of starting points from which the search makes a short descent
+GLANCE, ROUNDS = 15, 80  # number of rounds in a short descent and in a full descent
+TURNS = 12  # largest number of descents; before each descent, more gain errors become active
+TURNS_ON = 6  # number of short descents that `improvement` makes
+MET_TOLERANCE = 1e-6  # gain errors that worsen a value by less than this relative amount are ignored
+# A descent ends if the relative decrease is smaller than this. The first value is used while new gain errors still violate the
+# result, the second value for the final result
 ROUGHLY, CLOSELY = 1e-3, 1e-6
-SLOWER = 0.1  # share of the best start's decay rate that is kept if no decay rate is required
+SLOWER = 0.1  # if no decay rate is required, the result must keep this share of the best start's decay rate
 UNSTABLE = (
     "no static gain was found that stabilises every loop of the goals; give a smaller tolerance, fewer vehicles, or more "
     "signals and entries of the gain"
@@ -54,10 +56,11 @@ class MinimaxSearch:
         self.problem, self.full = problem, problem.nominal()
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
-        self.safe_point: Array | None = None  # last point at which all loops are stable with every gain error found so far
+        # last point at which all loops are stable with every gain error that has been found
+        self.safe_point: Array | None = None
         self.worst = WorstCaseErrors(problem)
         self.stable_starts: list[Array] = []
-        self.rate = problem.decay or 0.0  # required decay rate [rad/s]
+        self.rate = problem.decay or 0.0  # required decay rate of the loops [rad/s]
         self.free = np.flatnonzero(problem.structure.ravel())
         self.active_errors = problem.corners(MOST_VERTICES)
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
@@ -82,15 +85,15 @@ class MinimaxSearch:
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
                 if self.settled == CLOSELY:
                     break
-                self.settled = CLOSELY  # no other error violates the result, so the result is now computed accurately
+                self.settled = CLOSELY  # no further gain error violates the result, so the result is now computed accurately
                 continue
-            self.incumbent = None  # the stored point was evaluated with fewer errors
+            self.incumbent = None  # the stored point was evaluated with fewer gain errors
             x, evaluation = self.nearest_stable_point(x)
         if not evaluation.within:
             x, evaluation = self.restore_feasibility(x)
         if not evaluation.within:
             raise DesignError(self.explain_infeasibility(x))
-        if self.worst.unstable(self.full.gain(x)):  # every turn found more errors
+        if self.worst.unstable(self.full.gain(x)):  # even after the last descent, some gain errors make a loop unstable
             raise DesignError(UNSTABLE)
         return x, evaluation, refused
 
@@ -124,7 +127,7 @@ class MinimaxSearch:
         """Requires that the decay rate stays above a share of the decay rate that a point has with errors."""
         self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(x))[0] for i in range(len(self.problem.members)))
         self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
-        self.incumbent = None  # the stored point may decay more slowly
+        self.incumbent = None  # the stored point may decay more slowly than the new rate
 
     def evaluate(self, x: Array) -> Evaluation:
         """Evaluates a point, and stores it if it is the best point within all bounds."""
@@ -209,7 +212,7 @@ class MinimaxSearch:
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
     def brief_descent(self, x: Array) -> tuple[Array, Evaluation]:
-        """Descends for a few rounds. If the gain has no limit, it may at most double."""
+        """Lowers the objective for a few rounds, starting at x. If the gain has no limit, the gain may at most double."""
         whole = self.minimax.limit
         if self.problem.gain is None:
             self.minimax.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)

@@ -12,9 +12,10 @@ from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import Band, BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
-TURNS = 4  # largest number of passes over all errors
-NOT_STABLE = 1e6  # value that a bound has for an unstable loop
-# with at most this many errors, all vertices are tried; with more, 2^8 random vertices are tried for the slowest pole
+TURNS = 4  # largest number of passes over all gain errors
+NOT_STABLE = 1e6  # value that replaces a bound if the loop is unstable
+# Largest number of gain errors for which all vertices of the box are tried. With more errors, 2^8 random vertices are tried to
+# find the slowest pole
 CORNERS = 8
 INSIDE = 64  # number of points inside the box that are tried
 SEED = 20261122
@@ -107,7 +108,7 @@ class WorstCaseErrors:
             tried[:, self.free] = rng.choice((-1.0, 1.0), (len(tried), count))
         else:
             tried = self._vertices()
-        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first of these points is the case without errors
+        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first of these points is the loop without gain errors
         inside[1:, self.free] = rng.uniform(-1, 1, (INSIDE, count))
         tried = np.concatenate([tried, inside])
         best, worst = -np.inf, tried[0]
@@ -117,7 +118,7 @@ class WorstCaseErrors:
             if not values[k] > best:
                 return best, self._errors(worst)
             best, worst = float(values[k]), tried[k]
-            # only one error is changed, to its lower or upper end
+            # one gain error at a time is moved to its lower or upper limit
             tried = np.repeat(worst[None], 2 * count, axis=0)
             tried[np.arange(2 * count), np.tile(self.free, 2)] = np.repeat((-1.0, 1.0), count)
             if not count:

@@ -25,8 +25,9 @@ from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_max
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 
-INT16 = 2**15 - 1  # largest integer
-FLOAT16 = 2.0**15  # a matrix with a larger entry is divided by the smallest power of two that makes the entry smaller than this
+INT16 = 2**15 - 1  # largest integer of the format int16
+# a matrix with an entry above this limit is divided by the smallest power of two that brings all entries below the limit
+FLOAT16 = 2.0**15
 FORMATS = ("int16", "float16")
 
 
@@ -62,20 +63,22 @@ def _float16(matrix: Array) -> Array:
     return (matrix / scale).astype(np.float16).astype(float) * scale
 
 
-SHARES = (0.01, 0.1)  # allowed relative increases of the norm due to errors
-# sizes of errors that are tried along a ray; the largest size, 1, means that a measurement or force may be missing
+SHARES = (0.01, 0.1)  # relative increases of the norm that gain errors may cause
+# sizes of gain errors that are tried along a ray. The largest size, 1, means that a measurement or a force may be missing
 AMOUNTS = tuple(0.75**k for k in reversed(range(20)))
-# with at most EACH factors, every corner of the box gives a ray; with more factors, a vertex search in boxes of SIZES gives the
-# rays
+# Largest number of factors for which every corner of the box gives a ray. With more factors, the rays are found by a vertex
+# search in boxes of the sizes `SIZES`
 EACH = 3
 SIZES = (0.05, 0.25, 1.0)
-EXACT = 1e-10  # relative accuracy of the size of an error along a ray
-WITHIN = 1e-3  # relative amount by which a box is made smaller; in this box, errors with the same effect are searched
-TURNS = 4  # largest number of repetitions of this search
-# relative amounts by which boxes are smaller than the smallest harmful errors; for these boxes, a proof of stability is tried
+EXACT = 1e-10  # relative accuracy of the size of a gain error along a ray
+WITHIN = 1e-3  # relative amount by which a box is made smaller before it is searched for gain errors with the same effect
+TURNS = 4  # the search for smaller gain errors is repeated at most this many times
+# Relative amounts by which a box is smaller than the smallest harmful gain errors. A proof of stability is tried for each of
+# these boxes
 CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
-CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)  # the same amounts for a proof of a bound on the norm
-LOOSELY = 4.0  # a proof of stability proves this multiple of the largest norm found in a box
+# the same relative amounts, for boxes in which a bound on the norm is to be proved
+CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
+LOOSELY = 4.0  # a proof of stability proves a bound of this multiple of the largest norm that was found in the box
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +182,8 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
     errors_at = errors_of(gain, _at(gain, errors))
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     sizes = [min(amount, 1.0) * (1 - smaller) for smaller in (tried if np.isfinite(amount) else (0.0, *tried))]
-    proved, bound, kind, middle = 0.0, np.inf, "", 0  # the largest box is tried first, and the proof usually succeeds
-    while sizes:  # a proof for a box is also valid for smaller boxes
+    proved, bound, kind, middle = 0.0, np.inf, "", 0  # the largest box is tried first, because its proof usually succeeds
+    while sizes:  # a proof for one box is also valid for smaller boxes inside it
         box, within = box_of_all(gain, sizes[middle]), WorstCaseNormFunction(gain)
         if np.isinf(level):
             local_maximum(within, box)
@@ -225,8 +228,9 @@ def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, l
     return high
 
 
-NOTHING = 1e-12  # a smaller error counts as zero
-SAME = 1e-9  # norms that differ by less than this relative amount count as equal, because two methods differ by as much
+NOTHING = 1e-12  # a gain error smaller than this counts as zero
+# two norms count as equal if they differ by less than this relative amount, because the two methods for the norm differ as much
+SAME = 1e-9
 
 
 def record(

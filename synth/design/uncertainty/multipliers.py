@@ -34,13 +34,14 @@ from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.lmi.barrier import CENTRE_DECREMENT, Barrier, Block, lowest_last, newton
 from synth.plant.generalized import Plant
 
-NEAR = 3e-4  # relative distance of the bound above the peak that the best multipliers give
-EXACT = 1e-6  # share of p* D p and gamma^2 that is reserved as a margin for rounding
-CLOSE = 1e-5  # relative accuracy of the smallest gamma^2 at one frequency
-LARGEST = 1e6  # limit on the entries of D and G, if p, q and z are scaled to size one
+NEAR = 3e-4  # relative distance of the proved bound above the peak that is reached with the best multipliers
+EXACT = 1e-6  # share of p* D p and of gamma^2 that is kept as a margin for rounding
+CLOSE = 1e-5  # relative accuracy with which the smallest gamma^2 at one frequency is computed
+LARGEST = 1e6  # limit on the entries of D and G, after p, q and z have been scaled to size one
 MOST_PARTS, MOST_PEAKS = 100, 40
-SHORTEST = 1e-4  # length of the shortest frequency interval, relative to its frequency
-ENOUGH = 0.9997  # the search for the smallest gamma^2 at a frequency ends below this multiple of the given gamma^2
+SHORTEST = 1e-4  # length of the shortest frequency interval, relative to the frequency of the interval
+# the search for the smallest gamma^2 at a frequency ends as soon as gamma^2 is below this multiple of the given gamma^2
+ENOUGH = 0.9997
 
 
 def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
@@ -52,7 +53,7 @@ def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
     plant, K, q, m = gain.plant, gain.K, gain.K.shape[1], len(gain.K)
     middle, half = box.middle, (box.high - box.low) / 2
     of_y, of_u = box.uncertain[box.uncertain < q], box.uncertain[box.uncertain >= q] - q
-    # u = S K (S y + H_y p_y) + H_u p_u - K0 y, y = C_y x + Dyw w + Dyu u.
+    # The loop is u = S K (S y + H_y p_y) + H_u p_u - K0 y with y = C_y x + Dyw w + Dyu u.
     acting = gain.acting(middle)
     closing = np.linalg.inv(gain.return_difference(gain.scaled(middle)))
     into_y = half[of_y] * np.eye(q)[:, of_y]
@@ -221,7 +222,7 @@ def bound_in_band(
     for _ in range(tries):
         try:
             higher = search.cover(parts, low, high, gamma)
-        except np.linalg.LinAlgError:  # rounding prevents a solution
+        except np.linalg.LinAlgError:  # rounding prevents the solution
             return None
         if higher is None:
             proof = MultiplierProof(low, high, tuple(parts), gamma)
@@ -242,7 +243,7 @@ def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
     try:
         if _Search(cut_loop(gain, box).of_errors, 1.0).cover(parts, 0.0, np.inf, np.inf) is not None:
             return None
-    except np.linalg.LinAlgError:  # rounding prevents a solution
+    except np.linalg.LinAlgError:  # rounding prevents the solution
         return None
     proof = MultiplierProof(0.0, np.inf, tuple(parts), np.inf)
     return proof if proof.holds(gain, box) else None
@@ -316,7 +317,7 @@ class _Search:
         T, k = self.loop.at(np.array([omega]))[0], self.loop.errors
         d, r = (size - k for size in T.shape)
         T[:d] /= self.unit
-        # if w and z are absent, the errors alone determine the scales
+        # without w and z, the gain errors alone determine the scales
         of_z, of_w = (slice(d), slice(r)) if self.loop.performance else (slice(None), slice(None))
         into, seen = np.linalg.norm(T[of_z, r:], axis=0), np.linalg.norm(T[d:, of_w], axis=1)
         size = np.sqrt(np.where((into > 0) & (seen > 0), into / np.where(seen > 0, seen, 1.0), 1.0))
@@ -325,7 +326,7 @@ class _Search:
         of_both, square = np.tile((self.unit * size) ** 2, 2), (gamma / self.unit) ** 2
         try:
             least, found = _multipliers(T, k, square, None if self.last is None else self.last / of_both)
-        except np.linalg.LinAlgError:  # the multipliers of the previous frequency are not a useful starting point
+        except np.linalg.LinAlgError:  # the multipliers of the previous frequency are a poor starting point
             least, found = _multipliers(T, k, square, None)
         if found is None:
             return self.unit * least**0.5, None
@@ -344,7 +345,7 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
     """
     d, r = (size - k for size in T.shape)
     N = 2 * k + 1
-    F = np.zeros((N, r + k, r + k), dtype=complex)  # coefficients of -M
+    F = np.zeros((N, r + k, r + k), dtype=complex)  # coefficients of the matrix -M
     for i in range(k):
         F[i] = -np.outer(T[d + i].conj(), T[d + i])
         F[i, r + i, r + i] += 1
@@ -353,9 +354,9 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         F[k + i] = row + row.conj().T
     F0 = -T[:d].conj().T @ T[:d]
     one, each = np.ones((1, 1)), np.eye(N)[:, :, None, None]
-    bounds = [(0 * one, each[i]) for i in range(k)]  # limits for D and G
+    bounds = [(0 * one, each[i]) for i in range(k)]  # limits on the entries of D and G
     bounds += [(LARGEST * one, sign * each[i]) for i in range(2 * k) for sign in ((-1, 1) if i >= k else (-1,))]
-    # The first problem omits w and z, so that it concerns only the errors.
+    # The first problem omits w and z, so that only the gain errors matter.
     own = F[:, r:, r:].copy()
     own[-1] = np.eye(k)
 

@@ -27,8 +27,8 @@ from synth.plant.numerics import DesignError
 from synth.plant.state_space import StateSpace
 
 TURNS = 6
-WORTH = 2e-3  # the iteration ends if the relative decrease of the bound is smaller than this
-STEEP = 4  # power of mu that gives the weight of a frequency in the fit of a filter
+WORTH = 2e-3  # the iteration ends if the bound decreases by less than this relative amount
+STEEP = 4  # in the fit of a filter, a frequency has the weight mu to this power
 
 
 def mu(problem: DesignProblem, progress: Progress) -> DesignResult:

@@ -24,19 +24,22 @@ from synth.analysis.stability import is_stable
 from synth.design.uncertainty.multipliers import MultiplierForm, MultiplierInterval, cover, fill
 from synth.design.uncertainty.structured_loop import StructuredLoop
 
-NEAR = 5e-4  # relative distance of the bound above the peak that the best scales give
-EXACT = 1e-6  # relative distance of the proved bound above the level of the search; at this level itself, no proof is possible
-POWERS = (64, 4096)  # powers of the Schatten norms, used one after the other
-# if the share of the other singular values is smaller, a Schatten norm counts as equal to the largest singular value
+NEAR = 5e-4  # relative distance of the bound above the peak that is reached with the best scales
+# relative distance of the proved bound above the level that the search has found, because no proof is possible at this level
+# itself
+EXACT = 1e-6
+POWERS = (64, 4096)  # exponents of the Schatten norms, which are used one after the other
+# a Schatten norm counts as equal to the largest singular value if the share of the other singular values is smaller than this
 ALONE = 1e-6
-FURTHEST = 16.0  # limit on the logarithm of a scale, relative to the internal units of the loop
-EASY = 0.9  # scales that give a value below this multiple of the level are not improved further
+FURTHEST = 16.0  # limit on the logarithm of a scale, in the internal units of the loop
+EASY = 0.9  # scales with a value below this multiple of the level are not improved further
 MOST_STEPS = 60  # largest number of evaluations for each Schatten norm
-CLOSE = 1e-7  # accuracy of the logarithm of a single scale
-REFINED_PEAKS = 4  # the search for the highest peak starts at this number of peaks of the loop in internal units
-# relative values: largest and smallest frequency step in the search for a peak, and smallest increase that counts
+CLOSE = 1e-7  # accuracy of the logarithm of a scale
+REFINED_PEAKS = 4  # the search for the highest peak of the bound starts at this many of the highest gain peaks of the loop
+# relative to the frequency: largest and smallest step in the search for a peak; relative to the peak: smallest increase that
+# counts
 WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7
-SMALLEST = 1e-12  # smallest bound, for loops in which the errors have no effect (mu = 0)
+SMALLEST = 1e-12  # smallest bound; it is used if the errors have no effect on the loop (mu = 0)
 MOST_PARTS, MOST_PEAKS = 2000, 60
 
 
@@ -103,7 +106,7 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
     """
     k = errors
     x = np.zeros(k) if start is None else np.clip(start, -FURTHEST, FURTHEST)
-    first = int(len(M) == k)  # if there is no performance block, a common factor of all scales has no effect
+    first = int(len(M) == k)  # without a performance block, a common factor of all scales has no effect
     N, up, down = M.copy(), np.ones(len(M)), np.ones(M.shape[1])
     rows, columns = (slice(count - k + first, None) for count in M.shape)
 

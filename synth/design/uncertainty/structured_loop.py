@@ -21,7 +21,7 @@ from synth.plant.augmented import append, closed_by, gain, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ROUNDS = 50  # number of iterations of balancing; each iteration halves the remaining distance of the logarithms
+ROUNDS = 50  # number of balancing iterations; each iteration halves the remaining distance of the logarithms
 COARSE = 120  # number of frequencies at which the magnitudes of the entries of M are compared
 
 
@@ -125,7 +125,7 @@ def plant_with_errors(
     (q, n), (d, m), r = plant.Cy.shape, plant.D.shape, plant.Bw.shape[1]
     forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)
     k = len(forces) + len(readings)
-    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # this includes the errors of the forces
+    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # the errors of the forces are included
     wide = Plant(
         A=plant.A,
         B=plant.B,

@@ -21,9 +21,11 @@ from synth.plant.augmented import append
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-EQUALITY_TOLERANCE = 1e-9  # a norm counts as equal to the inverse size of its errors below this relative difference
+# a norm counts as equal to the inverse of the size of the errors if their relative difference is smaller than this
+EQUALITY_TOLERANCE = 1e-9
 STARTS, ITERATIONS = 12, 80
-SLOW, FAST = 1e-4, 1e4  # frequencies, relative to the poles, that replace 0 and infinity, where an error has no phase
+# frequencies that replace 0 and infinity, relative to the poles, because an error has no phase at 0 and infinity
+SLOW, FAST = 1e-4, 1e4
 BEYOND = (
     0.0,
     1e-9,
@@ -114,7 +116,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
     if np.linalg.cond(inside) > 1e12:
         return None
-    # p = C_e x_e + D_e q, q = C_q x + D_qw w + D_qp p.
+    # The loop is p = C_e x_e + D_e q with q = C_q x + D_qw w + D_qp p.
     at_once = np.linalg.inv(inside)
     rows = slice(None, -k) if structured.performance else slice(None)
     p_x, p_e = at_once @ E.D @ out, at_once @ E.C
@@ -166,7 +168,7 @@ def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a:
 def _all_pass(amount: float, angle: float, omega: float) -> StateSpace:
     """Returns an error as a stable all-pass with constant gain that has a given phase [rad] at a frequency."""
     sign = 1.0 if angle >= 0 else -1.0
-    # phase of (s - c) / (s + c), which decreases from pi at 0 rad/s to 0 at infinity
+    # phase of (s - c) / (s + c), which falls from pi at 0 rad/s to 0 at infinity
     phase = angle if angle >= 0 else angle + np.pi
     if min(phase, np.pi - phase) < 1e-12:
         constant = sign * (1.0 if phase < np.pi / 2 else -1.0)

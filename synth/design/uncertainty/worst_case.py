@@ -31,11 +31,11 @@ from synth.lmi.stacked_barrier import StackedBarrier
 from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics
 
-ALL = 8  # with at most this many free factors, every corner is tried; with more, a vertex search is used
-# number of random corners at which the vertex search starts, in addition to the corner in the direction of the gradient
+ALL = 8  # largest number of free factors for which every corner is tried; with more factors, a vertex search is used
+# number of random corners from which the vertex search starts; another start is the corner in the direction of the gradient
 BEGIN = 4
-REFINED_POINTS = 2  # number of the highest points at which the search inside the box starts
-TURNS = 30  # number of iterations in each of these searches
+REFINED_POINTS = 2  # number of highest points from which the search inside the box starts
+TURNS = 30  # largest number of iterations of a search
 SEED = 20261122
 
 
@@ -144,13 +144,13 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
         factors = point(t)
         value = heights.norm(factors)
         if not np.isfinite(value):
-            raise StopIteration  # the norm is infinite, so no higher norm exists
+            raise StopIteration  # the norm is infinite, so there is no higher norm
         return -np.log(value), -heights.slope(factors)[free] * half / value
 
     t = (start - middle)[free] / half
     slope = down(t)[1]
     if np.all(np.where(t >= 1, slope <= 0, True) & np.where(t <= -1, slope >= 0, True) & (np.abs(t) >= 1)):
-        return  # this is a corner from which the norm decreases in all directions into the box
+        return  # this corner is a local maximum: in all directions into the box, the norm decreases
     try:
         optimize.minimize(down, t, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * len(free), options={"maxiter": TURNS})
     except StopIteration:
@@ -184,8 +184,8 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
     among = np.zeros(0, dtype=int)
     while True:
         highest = _highest(everywhere, X, eta)
-        # The first set of corners contains all corners where the largest eigenvalue is attained, because rounding could
-        # otherwise prevent the proof.
+        # The first set contains all corners where the largest eigenvalue is reached, because rounding might otherwise prevent
+        # the proof.
         failing = np.setdiff1d(np.flatnonzero(highest >= 0), among) if len(among) else np.arange(len(highest))
         if not len(failing):
             return X if highest.max() < 0 else None
@@ -219,20 +219,24 @@ def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
     return (X + X.T) / 2 if p[-1] < 0 else None
 
 
-CLOSEST = 1e-4  # smallest relative distance of a bound above the largest norm found
-CLOSER = (1e-2, 1e-3, CLOSEST)  # relative distances that are tried in turn if the box must be divided to reach them
-LOOSE = (0.1, 1.0, 10.0)  # relative distances that are tried if the first of these distances and multipliers fail
-TIGHT = 1e-3  # if a bound is within this relative distance, multipliers are not needed
-TRIALS = 600  # largest number of attempts to find an X, multiplied by the square of the number of states
-FEWEST = 4  # smallest number of attempts
-MANY = 6  # with more errors than this, finding an X takes more time than finding multipliers
-# factors that multiply the number of attempts: for a bound that the user requests, and for one of many bounds
+CLOSEST = 1e-4  # smallest relative distance above the largest norm found at which a bound is tried
+# relative distances of a bound above the largest norm found, tried in turn if the box must be divided
+CLOSER = (1e-2, 1e-3, CLOSEST)
+# relative distances of a bound above the largest norm found, tried if both the first distance in `CLOSER` and multipliers fail
+LOOSE = (0.1, 1.0, 10.0)
+TIGHT = 1e-3  # multipliers are not needed if a bound is within this relative distance of the largest norm found
+# largest number of attempts to find an X, for one state; the number is divided by the square of the number of states
+TRIALS = 600
+FEWEST = 4  # smallest allowed number of attempts to find an X
+MANY = 6  # with more errors than this, finding multipliers takes less time than finding an X
+# Factors on the number of attempts to find an X. `PATIENT` is for a bound that the user requests, `CHEAPLY` for each bound if
+# many bounds are computed
 PATIENT, CHEAPLY = 4.0, 1 / 3
-SPARE = 1e-2  # share of the distance between bound and norm that is left as a margin for the first X
-FAR = 1e4  # bound for loops that need only be stable, as a multiple of a norm
-EVERYWHERE = 1e-4  # power of an additional disturbance of all states for the first X, relative to the power of w
+SPARE = 1e-2  # share of the distance between the bound and the norm that is kept as a margin for the first X
+FAR = 1e4  # bound for a loop that need only be stable, as a multiple of the norm
+EVERYWHERE = 1e-4  # power of the disturbance that is added to all states for the first X, relative to the power of w
 
-Parts = list[tuple[Box, Array | None]]  # parts of a box; each has an X that fulfils (20), if one is known
+Parts = list[tuple[Box, Array | None]]  # parts of a box; for each part, an X that fulfils (20), if such an X is known
 Proof = BoxProof | MultiplierProof
 
 
@@ -337,7 +341,7 @@ def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None
     try:
         start = bounding_x(gain.loop(box.middle), level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
         X = common_x(gain, box, start, eta)
-    except (np.linalg.LinAlgError, ValueError):  # the bound is too close to the norm for floating point
+    except (np.linalg.LinAlgError, ValueError):  # the bound is too close to the norm to be proved in floating point
         return None
     return X if X is not None and proves(gain, box, X, eta) else None
 

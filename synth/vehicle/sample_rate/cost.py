@@ -26,10 +26,10 @@ from synth.design.problem import DesignProblem
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import SharedDesignData
 
-SHORTEST = 1e-5  # shortest sample period that is tested [s], at 100 kHz
-TURN = 0.1  # largest angle by which the phase of a mode may advance from one tested period to the next [rad]
-TIME_CONSTANTS = 25.0  # number of time constants after which a mode counts as decayed (to e^-25)
-CLOSE = 1e-12  # the bisection ends if the relative difference of two periods is smaller than this
+SHORTEST = 1e-5  # shortest sample period that is tested [s]; it corresponds to 100 kHz
+TURN = 0.1  # largest angle by which the phase of a mode may advance between two successive tested periods [rad]
+TIME_CONSTANTS = 25.0  # a mode counts as decayed after this many time constants (to e^-25)
+CLOSE = 1e-12  # the bisection ends if the relative difference between two periods is smaller than this
 
 
 def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:
@@ -153,7 +153,7 @@ def cost(
         both = []
         for k, samples in enumerate((0, delay)):
             norm = norm_at(vehicle, controller, period, samples, near[k])
-            near[k] = norm.value if norm.stable and norm.value else near[k]  # the norm at the next period is similar
+            near[k] = norm.value if norm.stable and norm.value else near[k]  # the norm at the next period is probably similar
             both.append(norm)
         prompt, late = both
         again = period in designs and _in_two_steps(vehicle, controller)

@@ -19,10 +19,10 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.report import LOWER_BOUND, NORM, NORM_AS_IMPLEMENTED, PROOF, norm_failures
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
-LITTLE = 1e-2  # a rate counts as cheap if the relative increase of the norm is at most this value
-SAME = 5e-9  # a norm counts as equal to the continuous norm if their relative difference is smaller than this
-FEW = 2  # with at most this many controllers, each has its own table; more tables would not fit a terminal
-Kind = Callable[[AtRate], SampledNorm | None]  # function that selects one of the norms at a rate
+LITTLE = 1e-2  # a sample rate counts as cheap if the norm exceeds the continuous norm by at most this relative amount
+SAME = 5e-9  # a norm counts as equal to the continuous norm if the relative difference is smaller than this
+FEW = 2  # largest number of controllers that have a table each; more tables would not fit a terminal
+Kind = Callable[[AtRate], SampledNorm | None]  # function that selects one of the norms computed at a sample rate
 KINDS: dict[str, Kind] = {
     "at once": lambda at: at.undelayed_norm,
     "late": lambda at: at.delayed_norm,
@@ -162,8 +162,9 @@ RECORD = Record[Cost](
 )
 
 
-POINTS = 60  # number of points of a curve
-# largest norm in the figure, as a multiple of the continuous norm, because norms near the stability limit are unbounded
+POINTS = 60  # number of points of a curve in the figure
+# largest norm that the figure shows, as a multiple of the continuous norm, because the norm grows without bound near the
+# stability limit
 HIGHEST = 1.5
 MOST_TICKS = 9
 PROMPT, LATE, DESIGNED_COLOUR, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"

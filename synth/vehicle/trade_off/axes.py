@@ -22,10 +22,10 @@ from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.numerics import numerics
 from synth.vehicle.multi_objective import with_outputs_of_norm
 
-BAND = (4.0, 8.0)  # default frequency band [Hz], in which people are most sensitive to vertical acceleration
-OFF = 0.1  # default relative error of each measurement
-LOWEST, HIGHEST = 1e-3, 1e3  # limits of a frequency band [Hz]
-FEWEST, MOST = 2, 3  # smallest and largest number of axes
+BAND = (4.0, 8.0)  # default frequency band [Hz]; people are most sensitive to vertical acceleration in this band
+OFF = 0.1  # default relative gain error of each measurement
+LOWEST, HIGHEST = 1e-3, 1e3  # smallest and largest frequency that a band may contain [Hz]
+FEWEST, MOST = 2, 3  # smallest and largest number of axes of a trade-off
 ACCELERATIONS = ("m/s2", "rad/s2")
 AXES = ("ride", "travel", "road_holding", "force", "band", "tolerance")
 DEFLECTIONS = {"travel": "suspension_deflection", "road_holding": "tyre_deflection"}
@@ -158,7 +158,8 @@ def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
     return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighted, per m/s"
 
 
-MOST_READINGS = 4  # largest number of measurements for an axis with errors, because all corners of the box of errors are used
+# largest number of measurements if an axis has gain errors, because all corners of the box of errors are used
+MOST_READINGS = 4
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,15 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
 from synth.plant.numerics import DesignError
 
-GROWTH = 5.0  # largest gain entry if no bound limits the gain, as a multiple of the largest entry of the first starting gain
-# at an end, the norm of an axis may exceed its smallest value by this relative amount, which may reduce the other norms
+GROWTH = 5.0  # largest gain entry if the user gives no limit, as a multiple of the largest entry of the first starting gain
+# At an end of the trade-off, the norm of the end's axis may exceed its smallest value by this relative amount, because this may
+# reduce the other norms
 NEARLY = 1e-3
-TIGHTER = 1e-7  # relative amount by which this limit is tightened, to allow for rounding
+TIGHTER = 1e-7  # relative amount by which the limit on this norm is tightened, to allow for rounding
 SETTLED_STEP = 1e-7  # a descent ends if the predicted relative decrease is smaller than this
 ROUNDS = 60  # largest number of rounds of a descent
-TIMES = 6  # largest number of descents to an end; each starts where the previous descent ended
-NOTHING = 1e-9  # a value of an axis below this multiple of its other values counts as zero
+TIMES = 6  # largest number of descents to an end of the trade-off; each descent starts where the previous one ended
+NOTHING = 1e-9  # a value of an axis counts as zero if it is below this multiple of the other values of the axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +185,7 @@ def undominated_rows(values: Array) -> Array:
     """
     if not len(values):
         return np.zeros(0, dtype=bool)
-    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # True if row i is at most row j on all axes
+    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # True if row i is not above row j on any axis
     alike = no_worse & no_worse.T
     better = (no_worse & ~alike) | (alike & (np.arange(len(values))[:, None] < np.arange(len(values))))
     return ~np.any(better, axis=0)

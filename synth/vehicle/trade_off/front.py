@@ -30,9 +30,10 @@ from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuatio
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits
 from synth.vehicle.verification import Verification
 
-DESIGNS = 200  # default number of designs
-SLOWER = 0.1  # smallest decay rate of a design, relative to the decay rate of the first starting gain, if the goals give no bound
-MARKED_POINTS = 9  # number of representative points
+DESIGNS = 200  # default number of designs in a trade-off
+# smallest decay rate of a design if the goals give no bound, relative to the decay rate of the first starting gain
+SLOWER = 0.1
+MARKED_POINTS = 9  # number of representative points of the trade-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +195,7 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
     plant_problem, starts = problem.members[0].plants[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
-    with contextlib.suppress(InputError):  # InputError includes DesignError
+    with contextlib.suppress(InputError):  # the class InputError includes DesignError
         starts.append(plant_problem.on_readings(two_step_design(plant_problem).gain))
     if problem.decay is None and starts:
         decay = -float(

@@ -27,9 +27,9 @@ from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 
-RATIOS = range(-9, 10)  # ratios of the two weights as powers of two, each weight in units of its axis
-IN_BAND = 24  # number of frequencies at which a bound for a band is computed
-DOWN = 1 - 1e-12  # factor that reduces the bound, to allow for rounding of the curve
+RATIOS = range(-9, 10)  # base-2 logarithms of the ratio of the two weights; the unit of a weight depends on its axis
+IN_BAND = 24  # number of frequencies in a band at which the lower bound is computed
+DOWN = 1 - 1e-12  # factor that reduces the lower bound, to allow for rounding of the curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def limits(plants: list[Plant], bands: list[Band], units: Array) -> Iterator[Low
 def _limit(plants: list[Plant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
     one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
     weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
-    norms = np.zeros(len(weights))  # remains 0 if no bound is found
+    norms = np.zeros(len(weights))  # the value stays 0 if no bound is found
     for i, weight in enumerate(weights):
         kept = [(plants[k], bands[k], own) for k, own in zip(pair, weight, strict=True) if own > 0]
         stack = replace(

@@ -27,7 +27,7 @@ NUMBERS: tuple[Field[Point], ...] = (
     BOUND.of(lambda point: point.controller.certificate),
     TRAVEL,
 )
-Row = tuple[str, Point, Array | None, str]  # name, point, values in MuJoCo, and gain as text
+Row = tuple[str, Point, Array | None, str]  # name of the controller, point, values in MuJoCo, and gain as text
 
 
 def describe(front: Front, measured: Array | None = None, most: int = MARKED_POINTS) -> Document:
@@ -47,7 +47,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     for k in shown:
         i = front.marked[k]
         rows.append((str(i + 1), front.points[i], None if measured is None else measured[k], _gain(front.points[i])))
-    if measured is None:  # simulations give no values for the other controllers
+    if measured is None:  # the other controllers are not simulated, so they have no values from MuJoCo
         rows += [(name, others[name], None, "-") for name in without_copies(others)]
     fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
     for k, axis in enumerate(front.axes):
@@ -158,11 +158,11 @@ def _gain(point: Point) -> str:
     return " ".join(map(entry, entries)) if len(entries) <= 4 else f"{len(entries)} entries"
 
 
-WIDER = 0.06  # margin of a panel around the points, relative to their range
-# distance from the front, relative to the range of the front, beyond which other controllers are listed instead of drawn
+WIDER = 0.06  # margin of a panel around its points, relative to the range of the points
+# a controller that is farther from the front than this, relative to the range of the front, is listed instead of drawn
 BESIDE = 1.5
-SAME = 0.005  # controllers share one mark if their distance, relative to the range of a panel, is smaller than this
-FINE = 400  # number of points of the curve in each direction
+SAME = 0.005  # controllers share a mark if their distance, relative to the range of the panel, is smaller than this
+FINE = 400  # number of points in each direction of the curve
 DESIGNS, LINE, MEASURED = BLUE, BLACK, VERMILLION
 
 
@@ -204,8 +204,8 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     for names in _together(others, beyond, ranges):
         (x, y), text, (color, _, marker) = np.array(others[names[0]])[:, None], ", ".join(names), look[names[0]]
         curves.append(Curve(x, y, text, color, "none", marker, name=f"controller {text}"))
-    # If several wheels follow one road, the gain in MuJoCo can be below the norm. Points from MuJoCo would then seem to violate
-    # the bound.
+    # If several wheels follow the same road, the gain in MuJoCo can be below the norm. Points from MuJoCo would then seem to
+    # violate the lower bound.
     alone = len(front.vehicle.kind.wheels) == 1
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
         label = "MuJoCo on one sinusoid, which approaches the norm from below"
