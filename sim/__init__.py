@@ -18,7 +18,7 @@ import sys
 
 try:
     from models.common.lazy import attach
-except Exception as error:  # a file or folder of the user has the same name as a package of Roadproof
+except Exception as error:  # the user's folder contains a file or folder with the same name as a package of Roadproof
     from importlib.util import find_spec
 
     _spec = find_spec("models")

@@ -16,7 +16,7 @@ from models.common.extensions import STUDIES
 from sim.studies.command_name import command_of
 
 OWN = {name: texts for name, texts in STUDIES.texts.items() if texts}
-COMMANDS = (  # each row: module name after `python -m`, purpose, and most important options
+COMMANDS = (  # each row: module name after `python -m`, purpose of the command, and its most important options
     ("sim.new", "write a commented vehicle file to start from", "--type"),
     ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
     ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),
@@ -36,8 +36,9 @@ examples:
   roadproof bump --controller I
   roadproof bump --help
 """
-PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")  # commands that are packages, not modules
-VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # subcommand of `roadproof`: module name
+# commands that are packages; all other commands are modules
+PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")
+VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # maps each subcommand of `roadproof` to its module name
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     if arguments is None and words and words[0] in VERBS:
         roadproof()
-    if words and " " in VERBS.get(words[0], ""):  # a study that does not have its own module
+    if words and " " in VERBS.get(words[0], ""):  # the subcommand is a study without a module of its own
         from sim.command import study
 
         return study.main(words[0], words[1:])

@@ -4,5 +4,5 @@ Start with `command`, which runs the steps in order. `file` and `samples` read t
 `batch` simulates them. `store` and `manifest` keep results and gains, which `summary` and `best` evaluate.
 """
 
-HERE = "local"  # Ray's address for the cores of this machine
+HERE = "local"  # address with which Ray uses the cores of this machine
 MOST_RUNS = 10_000_000

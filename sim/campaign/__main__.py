@@ -15,8 +15,8 @@ from sim.campaign import HERE, MOST_RUNS
 from sim.drive import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
-CHECKS = ("runs", "seed")  # options that need --verify
-RESULTS = ("picture", "verbose", "brief", "best", "subject_to", "save")  # options that use the results of all runs
+CHECKS = ("runs", "seed")  # options that are allowed only with --verify
+RESULTS = ("picture", "verbose", "brief", "best", "subject_to", "save")  # options that need the results of all runs
 RUNS = ("results", "workers", "batch", "ray", "exported", "part", "merge", *RESULTS)
 NAMES = {"subject_to": "subject-to", "exported": "as"}
 

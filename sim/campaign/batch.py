@@ -41,8 +41,8 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 Rows = list[dict[str, Any]]
-MOST_ROADS = 4096  # largest number of roads whose IRIs are kept; more than the roads of one batch
-FAILED_LAW = "law: "  # first characters of the reason if the Python law of a run has failed
+MOST_ROADS = 4096  # largest number of roads whose IRIs are kept in memory; one batch has fewer roads
+FAILED_LAW = "law: "  # a failure reason that begins with this text means that the run's Python law has failed
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> Rows | None:
@@ -54,8 +54,8 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
         stopped: function that returns True to abort; called repeatedly during the simulation.
     """
     runs, rows = plan.runs(start, stop), {}
-    # Runs over random roads are measured after the time `settle`, when the transient has decayed. Runs over a bump or a hump are
-    # measured from the start.
+    # On a random road, measurement starts after the time `settle`, when the transient has decayed. On a bump or a hump, it
+    # starts with the run.
     alike: dict[tuple[str, bool, bool], list[int]] = {}
     for i, run in enumerate(runs):
         alike.setdefault((run.inputs["controller"], run.choice.stationary, bool(run.choice.loads)), []).append(i)
@@ -67,8 +67,8 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
         except StoppedError:
             return None
         rows |= {i: {"run": start + i, **row} for i, row in zip(some, driven, strict=True)}
-        # Which runs fail must not depend on the batch. A run that may have failed because of another run is therefore repeated:
-        # these runs are split in halves until each is simulated alone.
+        # A run must fail or succeed independently of the other runs in its batch. A run that may have failed because of another
+        # run is therefore repeated: the suspect runs are split in halves until each one is simulated alone.
         doubtful = [some[i] for i in failed] if len(some) > 1 else []
         todo += [half for half in (doubtful[::2], doubtful[1::2]) if half]
     return [rows[i] for i in range(len(runs))]

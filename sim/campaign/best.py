@@ -205,7 +205,8 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    if best is None:  # the nearest candidate has the smallest excess relative to the limit (absolute if the limit is 0)
+    # no candidate keeps all limits; the nearest one has the smallest excess relative to the limit (absolute if the limit is 0)
+    if best is None:
 
         def excess(one: Candidate) -> float:
             return max((numbers[one][name] - limit) / (abs(limit) or 1.0) for name, limit in request.limits.items())

@@ -36,7 +36,7 @@ from sim.studies.ride.scores import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # a remark is printed if a road from a file covers a smaller share of the run
-NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect the results
+NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect the results of a campaign
 
 
 def run_campaign(options: argparse.Namespace) -> int:
@@ -202,7 +202,7 @@ def _merge(campaign: Campaign, folder: Path) -> None:
         InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the
             packages.
     """
-    # The parts were merged before, but removing them was interrupted
+    # An earlier command merged the parts, but was interrupted while it removed them
     if (folder / RESULTS).exists() and (folder / NAME).exists():
         return
     some = parts.there(folder)
@@ -250,7 +250,7 @@ def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[s
         campaign = read_campaign(options.file)
     else:
         file = Path(manifest.file)
-        if not file.is_absolute() or not file.parent.is_dir():  # this happens if the folder was copied to another machine
+        if not file.is_absolute() or not file.parent.is_dir():  # this is the case if the folder was copied from another machine
             file = folder.absolute().parent / file.name
         campaign = parse_campaign(manifest.campaign, file)
         now = "has changed" if file.is_file() else "no longer exists"

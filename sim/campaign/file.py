@@ -32,14 +32,15 @@ from sim.campaign.samples import Values, read_samples
 from sim.runs.run import sample_times
 from sim.runs.sampled_vehicle import with_sample
 
-SETTLE = 5.0  # s; after this time, a mode that decays at 0.5 1/s has 99 % of its final variance
+SETTLE = 5.0  # s; within this time, the variance of a mode that decays at 0.5 1/s reaches 99 % of its final value
 Texts = tuple[str, ...]
-EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")  # for messages
+# examples of values, which error messages show
+EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")
 FILE_POINTS = {
     Profile: ("distance", "heights"),
     Rig: ("time", "heights"),
     Surface: ("u", "v", "z"),
-}  # types of roads from files, and the attributes that contain their points
+}  # types of roads that are read from files, and the attributes that contain their points
 
 
 def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
@@ -134,8 +135,8 @@ class Campaign:
     @property
     def digest(self) -> str:
         """Checksum of all inputs of the results: the campaign file, the vehicle files and the files of roads."""
-        # OpenCRG roads always come last, whatever their order in the file, because existing results folders contain checksums in
-        # this order.
+        # OpenCRG roads always come last, whatever their order in the file, because the checksums in existing results folders
+        # were computed in this order.
         roads = sorted(self.roads, key=lambda road: isinstance(road.road, Surface))
         measured = [line for road in roads for line in _file_checksums(road)]
         sources = "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
@@ -197,7 +198,7 @@ def _parse(text: str, folder: Path) -> Campaign:
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     for name, vehicle in vehicles.items():
-        # Prints remarks if a distribution seems to have the wrong unit
+        # A remark is printed if a distribution seems to have the wrong unit
         print_remarks(with_sample(vehicle, campaign.samples[name][0]))
     return campaign
 

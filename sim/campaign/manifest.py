@@ -16,13 +16,14 @@ from models.common.files import made_folder, reading, whole_file
 from synth.controller.controller import AnyController
 
 NAME, RESULTS, LOCK, PARTS = "plan.json", "results.parquet", ".lock", "parts"
-PARTIAL_FILES = ".*.part*"  # incomplete files that remain if a process is killed while it writes, see `whole_file`
-EARLIER = "campaign.json"  # name of the plan in results of Roadproof 0.1
+PARTIAL_FILES = ".*.part*"  # pattern of incomplete files, which remain if a process is killed while it writes, see `whole_file`
+EARLIER = "campaign.json"  # file name of the campaign's plan in results of Roadproof 0.1
 FULL = "free some space, or give another folder with --results; finished runs are kept"
 ELSEWHERE = "give a new or empty folder with --results"
 
 
-# Controllers by vehicle and name: measurements and gain; for a law in Python, the name of the law and the checksum of its file.
+# Controllers by vehicle and controller name. Each entry has measurements and gain or, for a law in Python, the name of the law
+# and the checksum of its file.
 Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 

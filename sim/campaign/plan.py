@@ -22,10 +22,12 @@ from sim.drive.loop import runs_at_once
 from sim.runs.sampled_vehicle import with_sample
 from synth.controller.controller import AnyController
 
-LOST_TIME = 5.0  # s, approximate time that a worker spends on a batch; an interruption loses at most this work
+LOST_TIME = 5.0  # s, approximate time that a worker spends on one batch; an interruption loses at most one batch per worker
 RATE = Field[float]("speed", float, ".3g", unit="steps/s")
-FEWEST = 16  # smallest batch; a quarter-car run costs a fifth more in a batch of 16 than in a batch of 64
-TOGETHER = 64  # smallest number of consecutive runs in a part of a campaign, if the campaign has enough runs
+# smallest number of runs in a batch; a quarter-car run takes a fifth more time in a batch of 16 than in a batch of 64
+FEWEST = 16
+# smallest number of consecutive runs in a part of a campaign; parts are smaller only if the campaign has too few runs
+TOGETHER = 64
 MOST_ROUNDS = 64  # largest number of intervals of consecutive runs in each part
 Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers; `stop` is not included
 

@@ -22,7 +22,7 @@ from sim.runs.sampled_vehicle import damper_numbers, with_sample
 
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
-WIDEST = 3.0  # standard deviations at which a normal distribution is truncated
+WIDEST = 3.0  # normal distributions are truncated at this many standard deviations
 
 Values = Mapping[str, float]  # sampled values by name
 
@@ -163,7 +163,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
         with error_in(f"[samples] vehicle {name!r}: sampled values do not fit together:"):
             sampled = with_sample(vehicle, sample)
             vehicle.kind.check(sampled.parameters)
-            _ = sampled.parts  # raises InputError if a semi-active damper cannot produce its nominal damping
+            _ = sampled.parts  # raises InputError if a semi-active damper cannot produce its nominal damping coefficient
     return samples
 
 

@@ -110,7 +110,7 @@ class Store:
         try:
             table = self.read(self.schema.names)
         except InputError:
-            if self.finished:  # meanwhile, another process has finished this part and removed the files of the batches
+            if self.finished:  # another process has meanwhile finished this part and removed the files of its batches
                 return
             raise
         self._write(self.results, table.combine_chunks())
@@ -165,8 +165,9 @@ def _are_runs(table: pa.Table, runs: Runs) -> bool:
 
 def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.Table:
     """Returns the columns `names` of a file, and checks that the file also contains the columns `expected`."""
-    # Arrow, not Python, opens the file: a thread of Arrow that releases memory of Python while the interpreter ends would abort
-    # the process. The path itself is not passed to ParquetFile, which would read a path with a colon as an address.
+    # Arrow opens the file instead of Python: otherwise, an Arrow thread that releases Python's memory while the interpreter
+    # ends would abort the process. ParquetFile is not given the path itself, because it would read a path with a colon as an
+    # address.
     with reading(path, "results", "remove it, and run the campaign again"), pa.OSFile(str(path)) as stream:
         file = pq.ParquetFile(stream)
         other = {*expected, *names} - {*file.schema_arrow.names}

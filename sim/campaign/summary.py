@@ -59,7 +59,7 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
     return scores
 
 
-Scores = Mapping[str, Mapping[Candidate, Score]]  # vehicle: candidate: score
+Scores = Mapping[str, Mapping[Candidate, Score]]  # score of each candidate for each vehicle
 
 
 def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Candidate | None]) -> list[str]:
@@ -78,7 +78,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
             counted = {who: one.value(each) for who, each in every.items() if one not in FORCES or who.controller != PASSIVE}
             shown.add(min((who for who in counted if counted[who] is not None), key=counted.__getitem__, default=None))
         there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
-        # If all variants of a law have aborted runs, the first one is shown.
+        # If runs were aborted for all variants of a law, the first variant is shown.
         shown |= {who for who in every if who.variant == 0 and who.controller not in there}
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
@@ -154,7 +154,7 @@ def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: A
         return {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
     over = {one: over_runs(one, columns[one.name][there], distances[there]) for one in metrics}
     worst = max(metrics, key=lambda one: over[one])
-    # The prediction is the expected value for a random road, and the linear response for any other road.
+    # The predicted value is the expected value for a random road, and the value in the linear response for any other road.
     predicted = [columns[f"{prefix}{worst.name}"][there] for prefix in (EXPECTED, LINEAR)]
     known = next((values for values in predicted if np.isfinite(values).all()), None)
     return {
@@ -172,8 +172,9 @@ def _standard_error(values: Array) -> float | None:
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
-Rides = tuple[str, Mapping[str, float | None]]  # text of road and speed, and the ride of each controller on this road
-Line = tuple[str, Mapping[str, Any]]  # key of `LINES`, and an entry of `summarise`
+# text that names a road and a speed, and the ride with each controller on this road
+Rides = tuple[str, Mapping[str, float | None]]
+Line = tuple[str, Mapping[str, Any]]  # key of `LINES`, and the matching entry of `summarise`
 STATISTICS = tuple(
     Field[Line](label, lambda row, key=key: row[1][row[0]][key], ".4g")
     for label, key in (("rms", "rms"), ("95 %", "p95"), ("predicted", "predicted"))
@@ -182,8 +183,8 @@ COUNTS = tuple(
     Field[Line](label, lambda row, key=key: row[1].get(key, 0), ".0f", key=key)
     for label, key in (("runs", "runs"), ("left linear", "left"), ("ended early", "broke_off"), ("failed", "failed"))
 )
-FEW = 3  # largest number of controllers for which a sentence lists each count of runs
-SEEN = 6  # largest number of rows and of columns in the table of the ride
+FEW = 3  # with at most this many controllers, the sentence gives the number of runs for each controller
+SEEN = 6  # largest number of rows, and of columns, in the table of the ride
 
 
 def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
@@ -270,8 +271,9 @@ def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     return said
 
 
-CONSTANT = 25  # number of constant dampers that define the line
-SOFTEST = 0.02  # smallest constant damping, relative to c_max; a softer damper would not be used in practice
+CONSTANT = 25  # number of constant dampers that are simulated to draw their line in the figure
+# smallest damping coefficient of a constant damper, relative to c_max; a softer damper would not be used in practice
+SOFTEST = 0.02
 ACROSS, UP = "load", "ride"
 ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]"
 

@@ -15,7 +15,7 @@ from sim.campaign.manifest import Gains
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 
-SAME, ROUNDING = 1e-9, 1e-12  # allowed relative and absolute difference between the results of two machines
+SAME, ROUNDING = 1e-9, 1e-12  # largest relative and absolute differences that are allowed between the results of two machines
 
 
 @one_thread()

@@ -14,10 +14,11 @@ from sim.campaign import HERE
 from sim.campaign.batch import Rows, run_batch
 from sim.campaign.plan import Plan
 
-BatchResult = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
-ANSWER = 3.0  # s, longest time until the head of a cluster answers
+# number of the first run in a batch, the rows of the batch, and the time that it took [s]
+BatchResult = tuple[int, Rows, float]
+ANSWER = 3.0  # s, longest time to wait for an answer from the head of a cluster
 TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
-RETRIES = 5  # largest number of repetitions of a batch if its Ray worker dies
+RETRIES = 5  # largest number of times that a batch is repeated because its Ray worker died
 
 
 @one_thread()
@@ -64,7 +65,7 @@ def cluster(address: str) -> Iterator[None]:
     environment = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent.parent.parent)}}
     try:
         ray.init(address=address, runtime_env=environment, log_to_driver=False, configure_logging=False)
-    except Exception as error:  # Ray raises many types of errors: wrong tokens or versions do not raise ConnectionError
+    except Exception as error:  # Ray raises many types of errors; wrong tokens, for example, cause no ConnectionError
         said = str(error).splitlines() or [type(error).__name__]
         raise InputError(f"--ray {address}: cannot connect to a Ray cluster ({said[0]}); {TOKEN}") from error
     try:
@@ -96,7 +97,7 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchRes
     try:
         while True:
             most = max(1, int(ray.cluster_resources().get("CPU", 1))) * AHEAD
-            # The maximum is needed because `most` decreases if a node leaves the cluster.
+            # `most` decreases if a node leaves the cluster, so the largest number is kept
             for start, end in itertools.islice(batches, max(0, most - len(running))):
                 running[remote.remote(shared, start, end)] = start
             if not running:

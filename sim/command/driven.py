@@ -71,5 +71,5 @@ class VehicleRuns:
 def _rename_run(run: Run, name: str) -> Run:
     if run.controller.name == name:
         return run
-    controller: Any = run.controller  # all driver classes are dataclasses with a field `name`
+    controller: Any = run.controller  # type Any, because all driver classes are dataclasses with a field `name`
     return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))

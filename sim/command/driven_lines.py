@@ -60,7 +60,7 @@ def driven_lines(
         for each in driven:
             for run, plain, own in zip_longest(each.named_runs, each.runs, each.metrics):
                 one = describe_run(run, None if run.physics is each.passive else each.passive)
-                blocks = one.blocks[1:]  # verdicts are the last lines of the command
+                blocks = one.blocks[1:]  # the first block is omitted, because the verdicts are the last lines of the command
                 if ride is not None:
                     blocks = (*blocks, *notes(*ride.basis(run, own)))
                     below_table += [{"vehicle": each.title} | cells for cells in ride.expected_cells(plain, own)]

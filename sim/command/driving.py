@@ -59,7 +59,7 @@ def drive(
     log = None
     if options.beside_column or any(name.startswith("beside") for name in options.given):
         log = FEATURES.load("comparison with a measured log").requested_log(options, vehicles.values())
-    texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # options of sim.drive
+    texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # texts of options that `sim.drive` accepts
     files = [*(file for vehicle in vehicles.values() for file in vehicle.files), *named_files(texts)]
     files += [options.beside] if log else []
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)

@@ -20,9 +20,9 @@ from models.common.printed import shell_line
 
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
-STARTING_TIME = 60.0  # s, longest time until the web viewer answers
-FAILING_TIME = 2.0  # s, time after which the viewer counts as started if its process has not ended
-ENDING_TIME = 3.0  # s, longest time until the process ends after a signal; after this time, the process is killed
+STARTING_TIME = 60.0  # s, longest time to wait until the web viewer answers
+FAILING_TIME = 2.0  # s, time after which the viewer counts as started if its process is still running
+ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a signal; a process that runs longer is killed
 
 
 def check_display() -> None:

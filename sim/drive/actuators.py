@@ -68,8 +68,7 @@ class Actuators:
         self.at_rest = np.pad(self._of.at_rest, (0, more))
         self.closing[: self.forces][adjustable, -readout.stretching_rates.shape[1] :] = -readout.stretching_rates[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
-        # The ramps of damper characteristics are the last actuators of the model. These actuators receive the commands of their
-        # dampers.
+        # The last actuators of the model are the ramps of damper characteristics. Each ramp receives the command of its damper.
         ramps = {
             one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
         }
@@ -135,7 +134,7 @@ class Actuators:
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            # the damper's force is the sum of several actuators
+            # several actuators of the model together produce the damper's force
             several = one.damper.pair is not None or one.force in self._ratios.over_travel
             if several and one.damper.replaces:
                 deflection, velocity = parts[one.force]

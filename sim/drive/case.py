@@ -171,7 +171,7 @@ def batch_of(
             if isinstance(road.relative_road, Departure):
                 heights[1::2, i] = road.held_heights(halves[1::2])
         now, midway, beyond = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2], heights[2 * len(time) :: 2]
-        # the force at which a damping tyre leaves the road depends on these velocities
+        # a tyre with damping leaves the road at a force that depends on these velocities
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):
             velocities = np.stack([road.velocities for road in inputs], axis=1)
     else:
@@ -204,7 +204,7 @@ def batch_of(
     )
 
 
-ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput`
+ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput` that are arrays over time
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:

@@ -52,13 +52,14 @@ class Computer:
         """
         self.driver, self.runs, self._actuators, self._heights = driver, runs, actuators, heights
         self._limiter = None if driver.requests == "commands" else command_limiter(vehicles, timestep)
-        self._given = np.zeros((len(how), actuators.size))  # commands of the last sample, before the delay
+        self._given = np.zeros((len(how), actuators.size))  # commands at the last sample, before they are delayed
         self.period, closing = steps_per_sample(how[0], timestep), closing_names(vehicles[0])
         self._state = self.used = driver.start(vehicles, timestep)
         whole = (*names, *closing)
         self._places, self._signals = np.array([whole.index(name) for name in driver.measured], dtype=int), len(names)
         self._late, self._each = np.array([round(one.delay * self.period) for one in how]), np.arange(len(how))
-        self._changes = np.zeros(self.period, dtype=bool)  # True for the time steps of a sample period at which a command arrives
+        # for each time step of a sample period, True if a command arrives at it
+        self._changes = np.zeros(self.period, dtype=bool)
         self._changes[self._late % self.period] = True
         most = max(one.pending_forces for one in how)
         self._waiting = np.zeros((most + 1, len(how), actuators.size))  # ring buffer of delayed commands, indexed by sample
@@ -81,7 +82,7 @@ class Computer:
             state, forces = starts.get(number, ((), []))
             self._state[i, : len(state)] = state
             if len(forces):
-                self._waiting[-len(forces) :, i] = forces  # computed before sample 0
+                self._waiting[-len(forces) :, i] = forces  # commands that were computed before sample 0
                 commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:

@@ -26,8 +26,8 @@ from sim.drive.loop import Block, Loop
 from sim.drive.regime import BLOCK
 from sim.drive.sensor_readout import hardware, reads_out
 
-# Smallest number of runs per thread. With fewer runs, the NumPy code between the steps takes as long as the steps, and only one
-# thread at a time can execute this code.
+# Smallest number of runs per thread. Only one thread at a time can execute the NumPy code between two steps, and with fewer
+# runs this code takes as long as the steps.
 FEWEST = 4
 
 

@@ -104,7 +104,7 @@ class RecordedForces(ControlLaw):
         return ("recorded",)
 
 
-RunDriver = AnyController | RecordedForces  # controller of one run, or known commands
+RunDriver = AnyController | RecordedForces  # controller of one run, or the recorded forces that replace a controller
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,8 @@ class Jumps:
             range_of = FEATURES.load("damper ranges").range_of
             self.elements = {forces[one.column]: one for one in range_of(vehicles).elements}
         self.places = index
-        # Velocity of each damper's suspension, as factors of the states by index. Vehicles in a batch have the same geometry.
+        # Velocity of each damper's suspension: the factors by which the states are multiplied, by state index. All vehicles in
+        # a batch have the same geometry.
         rows = {
             force: one.ratio * model.A[model.states.index(vehicle.kind.deflection_of(force))] for force, one in dampers.items()
         }
@@ -74,7 +75,7 @@ class Jumps:
         lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)
-        D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # (p, m, N)
+        D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # shape (p, m, N)
         # Jump of each signal per newton of each force, shape (N, 1).
         self.shares = {
             name: {
@@ -89,7 +90,7 @@ class Jumps:
 
     def __call__(self, values: Array) -> dict[str, Array]:
         """Returns the jumps of each signal that jumps, shape (N, B), for the next block of signals, shape (B, S, N)."""
-        # Motion ratios that change with travel, relative to those in equilibrium, shape (N, B).
+        # Motion ratios of suspensions whose ratio changes with travel, relative to the ratio in equilibrium, shape (N, B).
         ratios = {force: self.ratios.turn(force, values[:, place]).T for force, place in self.along.items()}
         of_force = {force: self._jump(force, values, ratios.get(force, 1.0)) for force in self.index}
         jumps = {}

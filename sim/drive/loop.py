@@ -35,9 +35,9 @@ from sim.drive.sensor_readout import (
 if TYPE_CHECKING:
     from sim.drive.part_steps import PartBatch
 
-DIVERGENCE_LIMIT = 1e8  # limit for every signal, in SI units; a run that exceeds it has diverged
+DIVERGENCE_LIMIT = 1e8  # largest absolute value of a signal, in SI units; a run with a larger one has diverged
 
-# largest number of stored road heights of a batch (16 bytes each), enough for 256 quarter-cars over 20 s at 1 ms
+# largest number of road heights that a batch stores (16 bytes each), enough for 256 quarter-cars over 20 s at 1 ms
 MOST_HEIGHTS = 5_200_000
 
 
@@ -94,7 +94,8 @@ class Block:
     @property
     def _beyond_limits(self) -> Array:
         """True at the samples at which a run is beyond its limits, shape (B, N)."""
-        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed  # NaN also counts as beyond the limit
+        # the comparison is negated, so that NaN also counts as above the limit
+        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed
 
     def clip(self, gone: Array) -> None:
         """Clips the values at the samples of a mask to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0.
@@ -138,8 +139,8 @@ class Loop:
             one_of = {self.hardware[key]: other for key, other in distinct.items()}
             if len(one_of) > 1:
                 self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
-        # A measurement is taken before a step: from the state if it is linear in the state, otherwise from its sensor. The
-        # contribution of the road is added if the state or the sensor does not include it.
+        # A signal is measured before a step. A signal that is linear in the state is computed from the state; any other is read
+        # from its sensor. The contribution of the road is added where the state or the sensor does not include it.
         readout = self.readout
         controllers = [one for case in batch.cases for one in (case.driver, case.undelayed_controller) if one is not None]
         named = {name for one in controllers for name in one.measured}
@@ -147,9 +148,10 @@ class Loop:
         self.stage = sensed_stage(readout, np.isin(readout.names, [*named]))
         of_sensors = [i for i in self.seen if not readout.linear[i]]
         self.sensors = _span(readout.of_sensors[of_sensors]) if self.stage else slice(0, 0)
-        # Accelerations are measured in a separate evaluation, with the present road and the force that has acted until now.
+        # Accelerations are measured in a separate evaluation of MuJoCo, with the present road height and the force that has
+        # acted until now.
         self.fresh = self.stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-        # Stage up to which MuJoCo is evaluated after a step, for the next measurement
+        # After a step, MuJoCo is evaluated up to this stage for the next measurement
         self.after = 0 if self.fresh else self.stage
 
     def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
@@ -234,7 +236,7 @@ class Loop:
         blocks = self._blocks(batch, edges, stopped)
         with quiet():
             while True:
-                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; the block records this
+                with np.errstate(over="ignore", invalid="ignore"):  # a control law may overflow; the block records the overflow
                     block = next(blocks, None)
                 if block is None:
                     return
@@ -251,14 +253,14 @@ class Loop:
         felt, of_reading = readout.has_road_feedthrough, self._map(actuators)
         controls, heights, sensors = physics.bind("ctrl"), physics.bind("mocap_pos")[:, :, 2], physics.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
-        # (qpos, qvel), which come after the time in MuJoCo's state
+        # MuJoCo's state contains the time, followed by the states (qpos, qvel)
         motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")
         own, sensed_to = states_of_parts(physics), width - readout.of_parts.shape[1]
         measured, held = physics.bind("sensordata")[:, self.sensors], batch.held_inputs
         pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.load_dofs), readout.damped_tyres
-        speeds = [loads + wheel for wheel in wheels]  # columns of the road velocities in `held_inputs`
+        speeds = [loads + wheel for wheel in wheels]  # columns of `held_inputs` that contain road velocities
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
-        # Within a step, the accelerations of runs with loads are for another load than at the sample.
+        # In runs with loads, the load within a step differs from the load at the sample, and so do the accelerations.
         late = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) > int(mujoco.mjtStage.mjSTAGE_VEL)
         loaded = np.zeros(count, dtype=bool) if held is None else held[..., :loads].any(axis=(0, 2))
         at_sample = np.ix_(late, loaded)
@@ -348,7 +350,7 @@ class Loop:
                     if in_signals is not None:
                         sensed[i + 1][at_sample] = under_load
             if self.after and not felt:
-                # The evaluation after a step has overwritten the sensor values, which are now the values before the next step.
+                # The evaluation after a step has overwritten the sensor values with the values before the next step.
                 sensed[1:, early] = sensed[:-1, early]
             values = signals_of(sensed[1:], readings, level, midway[block], before, requested, acts)
             largest, overflowed = signals_of.extremes(values, requested, law_states)
@@ -403,8 +405,8 @@ class _Signals:
         physical = values[:, self.physical]
         largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
         overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(law_states).all(axis=2)))
-        # MuJoCo replaces a force above 1e10 by 0 and continues. Requested forces are therefore checked unless a limit clips
-        # them.
+        # MuJoCo continues with a force of 0 in place of a force above 1e10. Requested forces are therefore checked, unless a
+        # limit clips them.
         for force, given in zip(np.moveaxis(commands, 2, 0), self.unclipped, strict=False):
             largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
         return largest, overflowed

@@ -25,10 +25,11 @@ from sim.drive.recursion import SHARES, WEIGHTS
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
 STAGE_WEIGHTS = np.reshape(WEIGHTS, (-1, 1, 1))
-# N; force with which the response of the accelerations is computed. The response is linear in the force, and a large force
+# N; force with which the response of the accelerations to a force is computed. The response is linear, and a large force
 # reduces rounding errors.
 UNIT = 1024.0
-# S; time over which the change of lever arms is computed along the present velocities; the error is proportional to its square
+# s; the change of lever arms is computed over this time along the present velocities; the error is proportional to the square
+# of the time
 NEARBY = 1e-5
 
 
@@ -72,15 +73,17 @@ class PartBatch(Batch):
         pulled = [i for i, name in enumerate(names) if name in motors]
         self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
         self._inputs = _Inputs(model, models or [model])
-        # A suspension without a tendon in the model has the index -1, which is the last tendon. Without a motor, no force acts
-        # there.
+        # A suspension without a tendon in the model has the index -1, which refers to the last tendon. This is harmless,
+        # because no force acts without a motor.
         indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
         self._lengths = _Lengths(model, indices, models or [model])
         self._response: Array | None = None
-        ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # ends of the parts of a state: qpos, qvel, act, z
+        # index after the last entry of each part of a state: qpos, qvel, act, z
+        ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])
         self._begin, self._x = _State(count, ends), _State(count, ends)
         self._rates = np.zeros((len(SHARES), count, ends[-1]))
-        self._parts = [np.split(rates, ends[:-1], axis=1) for rates in self._rates]  # views
+        # views of the rates, one for each part of the state
+        self._parts = [np.split(rates, ends[:-1], axis=1) for rates in self._rates]
 
     def forward(self, ids: Any = None, stage: int = AT_ACCELERATIONS) -> None:
         """See `Batch.forward`."""
@@ -104,7 +107,7 @@ class PartBatch(Batch):
         x.all *= self._h
         x.all += begin.all
         self._here.motion[:], self.z[:] = x.motion, x.own
-        self.state[:, 0] += self._h  # time
+        self.state[:, 0] += self._h  # the first entry of the state is the time
         if stage:
             self.forward(stage=stage)
 
@@ -173,7 +176,7 @@ class _State:
         self.all = np.zeros((count, ends[-1]))
         _, self.velocities, _, self.own = np.split(self.all, ends[:-1], axis=1)
         self.motion = self.all[:, : ends[2]]
-        self.moved = self.all[:, : ends[1]].reshape(count, 2, -1).swapaxes(0, 1)  # qpos and qvel
+        self.moved = self.all[:, : ends[1]].reshape(count, 2, -1).swapaxes(0, 1)  # view of qpos and qvel
 
 
 class _Bound:
@@ -182,7 +185,7 @@ class _Bound:
     def __init__(self, batch: Batch) -> None:
         model = batch.model
         self.batch = batch
-        # the time comes first, followed by qpos, qvel and act
+        # a state of MuJoCo contains the time, followed by qpos, qvel and act
         self.motion = batch.state[:, 1 : 1 + model.nq + model.nv + model.na]
         self.controls, self.activations = batch.bind("ctrl"), batch.bind("act")
         # MuJoCo only fills arrays that were bound before the evaluation

@@ -6,8 +6,8 @@ import numpy as np
 
 from models.common.arrays import Array, recursion
 
-SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's four stages, as shares of a step
-WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights of the rates at these stages
+SHARES = (0.0, 0.5, 0.5, 1.0)  # times at which RK4 evaluates its four stages, as shares of a step
+WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights with which RK4 adds the rates of its four stages
 
 
 def lag_commands(commands: Array, z: Array) -> Array:

@@ -19,15 +19,15 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
-# Share of a threshold at which it counts as reached, because a force at its limit equals the limit only up to rounding
+# A threshold counts as reached at this share of it, because a force at its limit equals the limit only up to rounding
 AT = 1 - 1e-12
 # If a hub jumps by at least this distance [m], the road has passed through it within a step. Even the stiffest tyre, compressed
 # nearly flat, moves a hub by only 1 mm within 1 ms. After the road has passed the hub, the measurement jumps by at least 0.1 m,
 # because hubs are at least 0.3 m above their road.
 JUMP = 0.02
-# share of a rate limit at which it counts as reached, because the command before a lag is computed from rounded forces
+# a rate limit counts as reached at this share of it, because the command before a lag is computed from rounded forces
 RATE_REACHED = 1 - 1e-7
-MISSING_FORCE = 1e-3  # N; a smaller missing force of a semi-active damper is a rounding error
+MISSING_FORCE = 1e-3  # N; if less of a semi-active damper's requested force is missing, the difference is a rounding error
 BLOCK = 200  # samples per block of many runs, so that a block fits into the cache
 
 
@@ -75,7 +75,8 @@ def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], A
     tyre = next((one.tyre for one in limits if one.tyre is not None), None)
     if tyre is None:
         return lambda get: get(first.signal)
-    times = np.array([0.0 if one.tyre is None else one.tyre.time for one in limits])  # c / k of the tyre in every run [s]
+    # damping divided by stiffness, c / k, of the tyre in every run [s]
+    times = np.array([0.0 if one.tyre is None else one.tyre.time for one in limits])
     return lambda get: get(first.signal) + times * (get(tyre.hub) - get(tyre.road))
 
 
@@ -151,7 +152,7 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     for fitted in vehicle.parts.with_curve:
         d = response[fitted.deflection]
         v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
-        # NaN without samples
+        # without samples, the value is NaN
         apart = np.fmax.reduce(np.abs(fitted.part.beyond(d, v)), axis=None, initial=0.0) / fitted.part.range
         shares[fitted.name] = max(shares.get(fitted.name, 0.0), float(apart))
     return shares
@@ -263,7 +264,7 @@ def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tup
     return way, vehicle.implementation.sample_period or timestep or math.inf
 
 
-@np.errstate(over="ignore", invalid="ignore")  # runs that have diverged may overflow
+@np.errstate(over="ignore", invalid="ignore")  # signals of runs that have diverged may overflow
 def command_rates(forces: Array, way: Any, interval: Any) -> Array:
     """Returns the rates of commands between samples [N/s], shape (..., T - 1).
 
@@ -317,7 +318,7 @@ class EndDetector:
         demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
         self.way = np.where(
             demanded, self.lags[0], 0.0
-        )  # if there is no such limit, clipped demands have no effect before a force reaches its limit
+        )  # without a limit on commands, a clipped demand has no effect before a force reaches its limit
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
         self.before = dict[int, Array]()  # forces at the last two samples, by index of the signal [N], shape (N, 2)
         self.forces: dict[int, Array] = {}  # forces at the last sample, by index of the signal [N], shape (1, N)
@@ -325,9 +326,9 @@ class EndDetector:
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {self.places[tyre]: self.places[road] for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # hub heights at the last two samples, by index of the tyre's signal [m], shape (2, N)
-        # Each entry contains the index of the end, the threshold of the first run, and the index of its signal. The limit in
-        # every run, and a function that computes the limited quantity, follow.
-        once = {id(vehicle): vehicle for vehicle in vehicles}  # most runs share one vehicle
+        # Each entry contains the index of the regime end, the threshold of the first run, the index of the limited signal, the
+        # limit in every run, and a function that computes the limited quantity.
+        once = {id(vehicle): vehicle for vehicle in vehicles}  # one entry per vehicle, because most runs share one
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
             (
@@ -368,7 +369,7 @@ class EndDetector:
             self._note(end, start, towards >= limit)
             if REGIME_ENDS[end] is SATURATION and threshold.signal in self.pushing and self.way.any():
                 demands = self._demands(signal, values)
-                # In later blocks, the first demand is for the last sample of the previous block.
+                # From the second block on, the first demand belongs to the last sample of the previous block.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
@@ -376,7 +377,7 @@ class EndDetector:
         before = self.before.get(signal, np.zeros((values.shape[2], 2)))
         forces = np.concatenate([before, values[:, signal].T], axis=1)
         self.before[signal] = forces[:, -2:]
-        # The first rate is for the last sample before the block; at the start of the run, it is 0.
+        # The first rate belongs to the last sample before the block; at the start of the run, the rate is 0.
         rates = np.abs(command_rates(forces, *self.lags)).T
         self._note(end, start - 1, rates >= RATE_REACHED * limit)
 
@@ -392,7 +393,7 @@ class EndDetector:
         when = self.samples[start + beyond[:, hit].argmax(axis=0)]
         self.times[hit, end] = np.minimum(self.times[hit, end], when)
 
-    @np.errstate(over="ignore", invalid="ignore")  # runs that have diverged may overflow
+    @np.errstate(over="ignore", invalid="ignore")  # signals of runs that have diverged may overflow
     def _demands(self, signal: int, values: Array) -> Array:
         """Returns the forces requested from lagging actuators [N], without the last sample; 0 if clipping does not count."""
         forces = values[:, signal]

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-SAME_VALUE = 1e-9  # relative to a signal's peak; a smaller difference counts as rounding
+SAME_VALUE = 1e-9  # largest difference, relative to a signal's peak, that counts as rounding
 SILENT = 1e-3  # smallest scale of a signal, relative to the largest signal with the same unit
-# relative to displacements or their rates; if angles times 1 m are smaller, they are rounding errors of a symmetrical vehicle
+# size relative to displacements or their rates; if angles times 1 m are smaller, they are rounding errors of a symmetrical
+# vehicle
 STILL = 1e-6
-# units of an angle and its rates, and units of the motion that they cause at a distance
+# units of an angle and of its rates, each with the unit of the motion that the angle causes at a distance
 ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}
 
 
@@ -236,7 +237,7 @@ class Response(ShownResult):
             raise InputError(f"the response contains runs of shape {self.values.shape[:-2]}; select one, as in response.run(0)")
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop may overflow
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
     """Returns the difference of two responses, relative to the peaks of the sampled one. The verdict uses the largest value.
 
@@ -249,10 +250,10 @@ def difference(physics: Response, sampled: Response) -> Response:
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []
     for signal in outputs:
-        scale = sampled.scale(signal.name) or 1.0  # 1 if nothing moves the vehicle
+        scale = sampled.scale(signal.name) or 1.0  # the scale is 1 for a vehicle that nothing moves
         apart = (physics[signal.name] - sampled[signal.name]) / scale
-        # a single bit pattern for NaN, because logs are compared byte by byte
+        # every NaN has the same bit pattern, because logs are compared byte by byte
         columns.append(np.where(np.isnan(apart), np.nan, apart))
-    about = "MuJoCo minus linear, over the peak"  # existing logs contain this text
+    about = "MuJoCo minus linear, over the peak"  # this text must not change, because existing logs contain it
     signals = tuple(replace(s, symbol=f"({s.symbol}) / peak", unit="1", meaning=f"{about}: {s.meaning}") for s in outputs)
     return Response(sampled.time, signals, np.stack(columns, axis=-1) if columns else np.zeros((len(sampled.time), 0)))

@@ -17,8 +17,8 @@ from models.vehicle.vehicle import Vehicle
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's Python bindings have no type stubs.
 
-CLOSEST = 1e-13  # m, rad and their rates: accuracy of the given state at the start of a run
-MOST_TRIALS = 60  # largest number of iterations of the search for this state
+CLOSEST = 1e-13  # m, rad and their rates: accuracy with which the given state is reached at the start of a run
+MOST_TRIALS = 60  # largest number of iterations in the search for the state at the start
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
@@ -30,7 +30,7 @@ def hardware(vehicle: Vehicle) -> tuple[object, ...]:
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped together: same geometry and same number of elements."""
     model, readout = prepared_readout(vehicle, timestep)
-    # A model without a bump stop, an anti-roll bar or a characteristic cannot represent a vehicle that has one.
+    # A vehicle with a bump stop, an anti-roll bar or a characteristic needs a model that has this part, too.
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
@@ -150,9 +150,10 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
 
     # In all models of this project, qpos = 0 is the static equilibrium.
     still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
-    # SI units; values are rounded, because the rounding errors of accelerations would depend on the masses
+    # Values in SI units, rounded because the rounding errors of accelerations would otherwise depend on the masses
     rest = np.round(read(still, flat), 12)
-    small = 0.1  # metres and radians; small, because a tyre's length is linear only while the road stays below the hub
+    # displacement in metres or radians; it is small, because a tyre's length is linear only while the road stays below the hub
+    small = 0.1
     of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
     of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 

@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path in paths:
         try:
             proof = prove(read_log(path), kinds)
-        except InputError as error:  # after an error, the command continues with the other logs
+        except InputError as error:  # an error in one log does not stop the command, which continues with the other logs
             if alone:
                 raise
             code = 2

@@ -11,15 +11,16 @@ from sim.drive.response import Response
 from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
-SAME = 1e-6  # allowed relative difference of a derived number if the machine or the version of NumPy changes
-# Keys that may be missing in older logs. The last two exist only for vehicles with nonlinear springs or dampers.
+# allowed relative difference of a derived number that is recomputed on another machine or with another version of NumPy
+SAME = 1e-6
+# Keys that older logs may lack. Only vehicles with nonlinear springs or dampers have the last two.
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
-# Keys that exist only in older logs, or only for laws that a replay does not run
+# Keys that only older logs contain, or only logs of laws that a replay does not run
 OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}
-# Differences between two runs relative to a peak; `SAME` is their absolute tolerance
+# Names of differences between two runs, relative to a peak; `SAME` is the tolerance of their absolute change
 DIFFERENCES = {"half_step", "code_difference"}
-LESS = {"residual", "allowed"}  # parts of an energy balance that older versions computed with larger rounding errors
-HUGE = 1e150  # a linear response above this value is unstable, and its square overflows
+LESS = {"residual", "allowed"}  # parts of an energy balance whose rounding errors were larger in older versions
+HUGE = 1e150  # a loop whose linear response exceeds this value is unstable; the square of the response would overflow
 
 
 @dataclass(frozen=True)

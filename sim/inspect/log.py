@@ -134,7 +134,7 @@ def _samples(schema: Any, messages: list[Any]) -> Samples:
     """Returns the messages of a topic as numbers. `mcap_writer` writes all fields of each message, in the same order."""
     fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
     times = np.array([message.log_time for message in messages], dtype=np.int64)
-    tags = [1 if field.number < 16 else 2 for field in fields]  # number of bytes that come before each number
+    tags = [1 if field.number < 16 else 2 for field in fields]  # number of bytes of the tag before each number
     starts = np.cumsum(tags) + 8 * np.arange(len(fields))
     rows = np.frombuffer(b"".join(message.data for message in messages), np.uint8).reshape(-1, starts[-1] + 8)
     values = [np.ascontiguousarray(rows[:, start : start + 8]).view("<f8") for start in starts]

@@ -42,11 +42,12 @@ from synth.controller.report import (
     notes_on_sampled_loop,
 )
 
-# Key about exported code that earlier versions wrote; it is ignored, because the rounding is now measured
+# Key that earlier versions wrote about exported code; the key is ignored, because the rounding is now measured
 PREDICTED_KEY = "rounding"
-REPLAY_TOLERANCE = 1e-7  # allowed difference between MuJoCo runs on two machines, relative to the peak of a signal
-OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `_check_certificate` checks
-WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # errors that are raised if numbers or keys of a run are invalid
+REPLAY_TOLERANCE = 1e-7  # difference that is allowed between MuJoCo runs on two machines, relative to the peak of a signal
+OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims in a log that `_check_certificate` checks
+# errors that are raised if a number or a key of a logged run is invalid
+WRONG = (ValueError, ArithmeticError, TypeError, LookupError)
 GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with python -m synth"
 EARLIER = "an earlier version with other numbers for semi-active laws wrote the log; inspect the log with that version"
 NOT_RUN = "the attached law was not executed; the logged forces were applied"
@@ -255,7 +256,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         measured, logged = record(run, measure_run(run, *samples)), mine[0].get("metrics", {})
         now |= measured | {
             "metrics": {name: one for name, one in measured["metrics"].items() if name in logged}
-        }  # metrics that did not exist when the log was written are omitted
+        }  # metrics that did not yet exist when the log was written are omitted
         now |= {"iri": roughness(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     if MEASURED_TOPIC in recorded.responses:

@@ -34,9 +34,10 @@ from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem
 
-# Largest number of states, including delayed forces, of a loop for which eigenvalues are computed; this takes seconds
+# Largest number of states (including delayed forces) of a loop for which a replay computes eigenvalues; the computation then
+# takes seconds
 MOST_STATES = 1000
-LAW = ("gain", *MATRICES, "sample_period")  # claims that define the law
+LAW = ("gain", *MATRICES, "sample_period")  # claims in a log that define the control law
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
@@ -64,7 +65,7 @@ def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
         vehicle = vehicle.without(part)
-    # The passive vehicle and state feedback have force actuators if they are compared with controllers that request forces.
+    # In a comparison with controllers that request forces, the passive vehicle and state feedback also have force actuators.
     pushed = vehicle.dampers and name in RESERVED_NAMES and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
     vehicle = vehicle.with_force_actuators if pushed else vehicle.with_actuators_of(name)
     start = run.claim("start") if "start" in run.claims else {}

@@ -9,7 +9,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.recursion import way_in_step
 from sim.drive.response import Response
 
-MOST_SQUARED = 1e150  # N; forces are clipped here so that their squares are finite
+MOST_SQUARED = 1e150  # N; forces are clipped to this magnitude, so that their squares are finite
 
 
 def stretching_rates(vehicle: Vehicle) -> Array:

@@ -30,9 +30,9 @@ from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, road_inputs, with_ending
 from synth.plant.loop import Loop, frequency_response, stepwise_response
 
-# first frequency [rad/s] and number of points of the peak search, whose grid ends at the Nyquist frequency
+# first frequency [rad/s] and number of points of the grid in which the peak is searched; the grid ends at the Nyquist frequency
 LOWEST, GRID = 1e-2, 3000
-PULL = "pull_"  # prefix of the input names that are suspension forces
+PULL = "pull_"  # prefix of inputs that are suspension forces
 
 
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
@@ -116,7 +116,7 @@ def driven_loop(
         loop = replace(loop, plant=plant.with_inputs(forces, np.zeros_like(push), shown))
     turn, each = np.exp(s * h), np.eye(len(roads) + count)
     amplitudes = {MIDWAY: np.exp(s * h / 2) / s, HEIGHT: 1 / s}
-    # The mean velocity of a step is held. A measurement is taken before the mean velocity of the next step acts.
+    # The road's mean velocity is held during each step. A measurement is taken before the mean velocity of the next step acts.
     if model.tyres_damp:
         mean = (turn - 1) / (h * s)
         amplitudes |= {HELD: mean, SIGNAL: mean, READ: mean / turn}
@@ -177,13 +177,13 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     def gain(omega: Array) -> Array:
         return sinusoid_gains(vehicle, response(omega), omega, speed)
 
-    # Lightly damped poles cause narrow peaks. The peaks of a vehicle are wider than the grid's spacing of 0.4 %, and the search
-    # refines each peak.
+    # Poles with little damping cause narrow peaks. The peaks of a vehicle are wider than 0.4 %, the spacing of the grid, and
+    # the search refines each peak.
     omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
     gains = gain(omega)
     best = WorstSinusoid(float(gains.max()), float(omega[gains.argmax()]))
     peaks = 1 + np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * best.gain))
-    from scipy import optimize  # half a second
+    from scipy import optimize  # imported here because the import takes half a second
 
     for i in peaks:
         refined: Any = optimize.minimize_scalar(

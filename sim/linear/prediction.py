@@ -68,7 +68,7 @@ class Prediction:
         return self._sampled[2]
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
+    @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def continuous(self) -> Response:
         """Exact linear response of the continuous closed loop; NaN if the law is not linear."""
         if self.controller.linear is True:
@@ -95,7 +95,7 @@ class Prediction:
         return loop_of(self.vehicle, self.controller) if is_linear(self.controller, self.vehicle) else None
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
+    @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def _sampled(self) -> tuple[Response, Response, Response | None]:
         """The responses `sampled`, `integrated` and `finer`."""
         controller, road = self.controller if self.controller.linear is True else None, self.input

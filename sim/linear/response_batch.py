@@ -49,8 +49,8 @@ class ResponseBatch:
         distinct = dict(zip(keys, batch.cases, strict=True))
         loops = {key: _closed_loop(one.vehicle, one.driver, timestep) for key, one in distinct.items()}
         systems = [loops[key].part(self.outputs, loops[key].inputs) for key in keys]
-        # Entries of the matrices for N runs: A and C with shapes (n, n, N) and (p, n, N); for each input, its values, B and D
-        # with shapes (T, N, r), (n, r, N) and (p, r, N).
+        # Entries of the matrices for N runs: A with shape (n, n, N) and C with shape (p, n, N). Each input has values with
+        # shape (T, N, r), B with shape (n, r, N), and D with shape (p, r, N).
         self._A, self._C, B, D = (np.stack([getattr(one, name) for one in systems], axis=-1) for name in "ACBD")
         columns = [systems[0].columns(names) for _, names in groups]
         self._inputs = [(values, B[:, some], D[:, some]) for (values, _), some in zip(groups, columns, strict=True)]

@@ -27,7 +27,7 @@ def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, f
     model = vehicle.linear_model
     rate, moved_states = effect_on_states(vehicle)
     pushed = np.zeros(len(model.inputs))
-    if vehicle.dampers:  # the force of a damper has a rounding error, because the velocity has a rounding error
+    if vehicle.dampers:  # rounding of the velocity causes a rounding error of the damper's force
         pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
             one.steepest_slope for one in vehicle.parts.adjustable
         ]
@@ -35,7 +35,7 @@ def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, f
     if controller is None or controller.linear is False:
         return dict(zip(model.outputs, (np.abs(model.C) @ moved_states + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _largest_gain(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
-    # the forces of a law with states may be much larger than those of a static gain, and affect the states
+    # a law with states may compute much larger forces than a static gain, and these forces affect the states of the vehicle
     if controller.law.states:
         moved_states = moved_states + np.abs(model.B) @ (gain @ moved_states) / rate
     moved = np.abs(model.C) @ moved_states + np.abs(model.D) @ (pushed + gain @ moved_states)
@@ -48,7 +48,8 @@ def effect_on_states(vehicle: Vehicle) -> tuple[float, Array]:
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     n = len(model.states) - len(kind.of_parts)
     moved_states = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states[:n]])
-    of_parts = np.abs(model.A[n:, :n]) @ moved_states / (rate or 1.0)  # in the units of the parts' states
+    # effect of rounding on the parts' own states, in the units of these states
+    of_parts = np.abs(model.A[n:, :n]) @ moved_states / (rate or 1.0)
     return rate, np.concatenate([moved_states, of_parts])
 
 

@@ -53,11 +53,11 @@ from synth.plant.state_space import StateSpace
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
 
-NODES = 8  # number of nodes of the quadrature over a step
-WHOLE = 1e-9  # relative; a preview time this close to an integer number of steps counts as an integer
+NODES = 8  # number of nodes with which the integral over a step is computed (quadrature)
+WHOLE = 1e-9  # a preview time counts as an integer number of steps if its relative distance from this number is smaller
 
 
-SLOWEST_RATE = 1e-12  # rad/s; slower modes do not change within any run, and the time step computed for them would overflow
+SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not change within any run, and the time step computed for it would overflow
 
 
 def taylor4(M: Array) -> Array:
@@ -210,7 +210,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
         return linalg.expm(preview.A * (left - start)) @ piece
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    after = time[-1] + h * np.arange(whole)  # sample times within the preview at the end of the run
+    after = time[-1] + h * np.arange(whole)  # sample times between the end of the run and the end of the preview
     drive, ahead, end = np.zeros((count, len(A))), np.zeros((count, len(preview.A))), np.zeros((len(after), len(preview.A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
         known = met(time[0] + h * np.arange(count + whole) + s)
@@ -232,7 +232,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
             drive[steps] = _at_cuts(A, lambda t: change(t) @ P.T, cuts, h)
     Phi = linalg.expm(preview.A * h)
     last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
-    if not in_steps:  # the preview ends within a step
+    if not in_steps:  # the preview ends inside a step, not at its end
         left, right = time[-1] + whole * h, time[-1] + T
         edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
         last = last + sum(back(met, *pair, time[-1]) for pair in itertools.pairwise(edges))
@@ -291,8 +291,8 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
     return forcing
 
 
-# largest number of divided steps for which each step has its own matrix exponentials; for more, as on a measured road, they are
-# interpolated
+# Largest number of divided steps for which matrix exponentials are computed for each step; if there are more, as on a measured
+# road, the exponentials are interpolated
 FEW = 64
 
 
@@ -332,7 +332,7 @@ def _many_pieces(
     return total
 
 
-CHEBYSHEV = 16  # number of nodes
+CHEBYSHEV = 16  # number of Chebyshev nodes
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
@@ -385,7 +385,7 @@ def _largest_timestep(A: Array) -> float:
     rate = float(np.abs(np.linalg.eigvals(A)).max())
     if rate <= SLOWEST_RATE:
         return math.inf
-    steps = np.arange(3.0, 0.0, -0.01) / rate  # RK4 is unstable for every |lambda h| above 2.83
+    steps = np.arange(3.0, 0.0, -0.01) / rate  # RK4 is unstable if |lambda h| is above 2.83
     for h in steps:
         if np.abs(np.linalg.eigvals(taylor4(A * h))).max() <= 1:
             return float(h)

@@ -59,13 +59,13 @@ class Stepper:
         (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
         self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
         V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
-        self._response = V[:, : len(push)] @ push  # change of v' per newton of each force
-        # the states of parts are the last ones of the linear model
+        self._response = V[:, : len(push)] @ push  # change of the velocities' derivative v' per newton of each force
+        # the last states of the linear model are those of the vehicle's parts
         push = np.hstack([push, np.eye(len(push), own, own - len(push))])
         w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching_rates(vehicle) if vehicle.dampers else np.zeros((m, n))
-        self._still = None if felt else np.zeros((1, m))  # no suspension force depends on the inputs
+        self._still = None if felt else np.zeros((1, m))  # zeros are sufficient if no suspension force depends on the inputs
         rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
         of_road = of_road + rows @ model.jump
         if felt:
@@ -78,8 +78,8 @@ class Stepper:
         self._rows = np.vstack([rows, V @ model.A]).T
         self._of_road = np.vstack([of_road, V @ (model.A @ model.jump + model.Br)]).T
         self._of_inputs, self._of_held = np.vstack([of_inputs, V @ model.B]).T, V @ model.Bh
-        # Matrices of a whole step. The columns of these matrices are for states, inputs, road, loads, and the forces of the four
-        # stages.
+        # Matrices that advance the state by a whole step. Their columns are for states, inputs, road, loads, and the forces at
+        # the four stages of RK4.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
         start = total = np.eye(n, forces + 4 * w)
@@ -195,7 +195,7 @@ class Stepper:
                 given = of.forces(coefficients, self.closing(of, xi, road.heights))
                 beside |= {model.inputs[one.column]: given[:, one.column] for one in of.elements}
         response = response_of(model, road, x, inputs, beyond, beside)
-        # the output signals may depend on the forces of dampers
+        # damper forces may contribute to the output signals
         for name, parts in vehicle.kind.combined.items() if vehicle.dampers else ():
             total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
             response.values[:, response.names.index(name)] = total
@@ -349,7 +349,7 @@ def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput])
     for k in range(samples):
         states[k] = xi
         if not laws.idle:
-            if k % period == 0:  # a measurement contains the forces that have acted until now
+            if k % period == 0:  # the forces that have acted until now affect the measurement
                 kept_along[k // period] = law_states
                 pulls = steps.pulls(xi, heights[k], now, None if readings is None else readings[k]) if laws.feels else unfelt
                 requested, law_states = laws(k // period, xi, now, pulls, law_states)

@@ -31,14 +31,15 @@ from synth.controller.controller import AnyController, Controller
 if TYPE_CHECKING:
     from models.laws.semi_active import SemiActive
 
-SPEED = 1e-8  # m/s, and also relative to the largest closing velocity; the largest observed difference is 4e-16
-# relative to the largest terms of a sum; rounding causes at most 1e-13, but a command one sample late at least 1e-3
+SPEED = 1e-8  # m/s, and also a share of the largest closing velocity; the largest observed difference is 4e-16
+# difference relative to the largest terms of a sum; rounding causes at most 1e-13, but a command that is one sample late causes
+# at least 1e-3
 EXACT = 1e-10
 
 
 Difference = tuple[
     str, Array, Array, Array
-]  # each entry: name, times [s], and difference and allowed difference relative to the peak, shape (K,)
+]  # each entry: name, times [s], and the difference and its allowed value relative to the peak, shape (K,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
     if result.agrees or not controller.serial:
         return result
     once = answer()
-    # if a law still depends on its previous run, its commands now differ
+    # a law that still depends on its previous run now gives different commands
     _again(controller, road, replace(samples, due=due[: len(due) // 2]))
     if any(np.any(a[2] != b[2]) for a, b in zip(once, answer(), strict=True)):
         return replace(_worst(readings, vehicle), repeatable=False)
@@ -147,7 +148,7 @@ def _commands(
     vehicle, times = road.vehicle, road.time[:count]
     inputs = vehicle.linear_model.inputs
     names = (*inputs, *(f"missing {name}" for name in inputs))
-    arrived = (np.arange(count) - late) // samples.period  # index of the sample whose command acts at each time step
+    arrived = (np.arange(count) - late) // samples.period  # for each time step, index of the sample whose command acts
     after, limiter = None, command_limiter([vehicle], road.timestep)
     logged = recording.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
     if controller.user_code is True or controller.driver_key[0] not in ("linear", "semi_active"):

@@ -64,8 +64,8 @@ if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
     from models.parts.settable import SetElement
 
-# The same limit for forces without kinks, relative to the fourth power of the product of step and the vehicle's fastest rate.
-# Random vehicles of every type reach 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
+# Largest residual if no force has a kink, divided by (step times the vehicle's fastest rate)^4. Random vehicles of every type
+# reach 0.02 over bumps and random roads with steps from 0.5 to 4 ms, and 0.07 with 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
 NEAR = 0.95  # share of the distance to a kink above which a tyre or a suspension may reach the kink within a step
 AT_ONCE = 4096  # number of states that are evaluated together
@@ -86,7 +86,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
     response = run.response.samples(slice(count))
     work, least = _by_inputs(vehicle, path, response, run.commands[:count])
     by_loads = np.zeros((count - 1, 1))
-    if road.loaded:  # loads are held and act along joints, so the computed work is exact
+    if road.loaded:  # loads are held within a step and act along joints, so their work is computed exactly
         moved = np.diff(run.qpos[:count, pushed_dofs(vehicle, path.model)], axis=0)
         by_loads = road.held_loads[: count - 1] * moved
     by_road, lost = _by_tyres(path, road)
@@ -100,7 +100,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         length = path.length(path.model.tendon(one.tendon).id)
         z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
         start += _stored_energy(one, length.d, z) + _kinetic(one, length.d, length.v)
-        # The states of parts do not jump with the road.
+        # The states of the vehicle's parts do not change suddenly if the road height does.
         end += _stored_energy(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
         if z is None or (column := elements.get(names_of(one.states))) is None:
             lost += _lost_energy(one, length, z)
@@ -113,7 +113,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         lost += _lost_energy(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
-    if vehicle.start:  # the energy at the start is subtracted, because it is not work during the run
+    if vehicle.start:  # the energy stored at the start is subtracted, because no force supplied it during the run
         stored -= stored[0]
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
     turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
@@ -179,7 +179,8 @@ def _lost_energy(
     if z is not None:
         (d, v), _, (after, w) = length.stages
         turned = length.h / 8 * (one.part.rate(d, v, z[:-1], inputs[0]) - one.part.rate(after, w, z[1:], inputs[2]))
-        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # cubic through values and rates at both ends, as for the lengths
+        # cubic polynomial through the values and rates at both ends of the step, as for the lengths
+        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]
     stages = [(d, v, z, u) for (d, v), z, u in zip(length.stages, own, inputs, strict=True)]
     pulls = [one.part.beyond(d, v, z, u) + one.added_line(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
     taken = length.integral(v * pull for (_, v, _, _), pull in zip(stages, pulls, strict=True))
@@ -240,7 +241,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
             own = ratio(length.d) * length.v
             power = (dampers[name].force_at(own, 0.0) - response[name]) * own
             least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
-        elif vehicle.limits.actuator_bandwidth is None:  # the work of a held force is exact
+        elif vehicle.limits.actuator_bandwidth is None:  # the work of a force that is held within a step is computed exactly
             travel = partial(ratios.travel, name)
             work[:, j] = first * (travel(length.after) - travel(length.d[:-1]))
         else:

@@ -11,15 +11,17 @@ WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # difference of a signal, relative to the signal's peak
 ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # allowed difference of a check
 JOULES = Field[float]("energy", float, ".5g", unit="J")
-# Largest residual if a force has a kink, relative to the turnover. RK4 then causes residuals of 5e-5 at 1 ms and 6e-4 at 4 ms for
-# every built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes a residual of at least 3e-3.
+# Largest residual of an energy balance, relative to the turnover, if a force has a kink. RK4 then causes residuals of 5e-5 at 1
+# ms and 6e-4 at 4 ms for every built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes a residual
+# of at least 3e-3.
 BALANCE_TOLERANCE = 1e-3
-# The residual of a fault does not depend on the step, but the residual of RK4 decreases at least with the square of the step. If
-# the residual is too large, the run is therefore repeated at half the step. This multiple of the observed decrease is then
-# allowed in addition. If the error is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430 kN/m that is
-# often in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
-FALLS, COARSEST = 1.5, 0.1  # factor on the decrease, and largest residual that can confirm a balance
-ROUNDING = 1e-8  # turnover relative to the energy in equilibrium, below which the residual is a rounding error
+# A fault causes the same residual at every step size, but RK4 causes a residual that decreases at least with the square of the
+# step. If the residual is too large, the run is therefore repeated at half the step, and `FALLS` times the observed decrease is
+# allowed in addition. If the error of RK4 is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430
+# kN/m that is often in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
+FALLS, COARSEST = 1.5, 0.1  # factor that multiplies the decrease, and largest residual with which a balance can be confirmed
+# if the turnover, relative to the energy in equilibrium, is smaller than this, the residual is a rounding error
+ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)

@@ -36,9 +36,10 @@ from sim.observers.results import StepAgreement
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
-# relative to the peak; the largest observed difference is 1e-12 per step, and a force that is wrong by 1e-4 causes 1e-8 or more
+# difference relative to the peak; the largest observed difference is 1e-12 per step, and a force that is wrong by 1e-4 causes
+# at least 1e-8
 EXACT = 1e-10
-UNIT = 1024.0  # N; force with which the response of the accelerations is computed; the response is linear in the force
+UNIT = 1024.0  # N; force with which the response of the accelerations to a force is computed; the response is linear
 
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
@@ -74,7 +75,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     told = (*motion.names, *(one.name for one in road.vehicle.kind.of_parts))
     names = (*told, *shown, *readings)
     held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
-    # The signal itself has a rounding error, and so do the signals from which it is computed.
+    # The signal has a rounding error, and so do the other signals from which it is computed.
     rounded = [held[name] for name in told]
     for name in (*shown, *readings):
         parts = combined.get(name, {name: 1.0})
@@ -87,7 +88,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     further += [expected - measured[name][: len(ahead)] for name, expected in readings.items()]
     apart = np.abs(np.concatenate([ahead - there, *(row[:, None] for row in further)], axis=1))
     between = np.isnan(np.stack([measured[name][: len(ahead)] for name in readings], 1)) if readings else None
-    if between is not None:  # NaN means that nothing was measured at this time step
+    if between is not None:  # a NaN means that nothing was measured at this time step
         apart[:, -between.shape[1] :][between] = 0.0
     apart /= scales
     apart[~np.isfinite(apart)] = np.inf

@@ -60,7 +60,7 @@ def record(
     if len(set(names)) < len(names):
         raise InputError(f"the runs have the names {', '.join(names)}; give each run a different name")
     try:
-        # The temporary files are in the same folder, so that renaming them at the end moves no data.
+        # The temporary files are in the same folder as the final files, so that renaming them at the end moves no data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
             written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)
@@ -82,8 +82,8 @@ def _publish_files(written: Mapping[str, Path], folder: Path, stem: str) -> dict
         final = {kind: folder / f"{name}.{SUFFIXES[kind]}" for kind in written}
         ours: list[Path] = []
         try:
-            # Renaming would overwrite existing files without a warning. A new empty file reserves the name, also from other
-            # processes.
+            # Renaming would overwrite an existing file without a warning. A new empty file therefore reserves the name, so that
+            # other processes cannot use it either.
             for path in final.values():
                 path.touch(exist_ok=False)
                 ours.append(path)

@@ -68,8 +68,8 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
         "cameraState": {
             "distance": float(1.1 * max(length, 2 * size[2])),
             "perspective": True,
-            "phi": 75,  # degrees from the vertical
-            # Degrees; the view is from behind or from the left
+            "phi": 75,  # angle of view in degrees from the vertical
+            # Angle in degrees that lets the camera look from behind or from the left
             "thetaOffset": 109 if len(seen) == 1 and seen[0].scene.flat else 204,
             "fovy": 45,
             "near": 0.1,

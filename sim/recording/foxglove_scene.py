@@ -32,8 +32,8 @@ from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, stru
 
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
-SHORTEST = 1e-3  # length of the shortest arrow of a force that is drawn [m]
-# grid to which moving points are rounded [m], 0.25 mm; rounding reduces their compressed size to a third
+SHORTEST = 1e-3  # a force whose arrow would be shorter than this length [m] is not drawn
+# moving points are rounded to a grid of this size [m], 0.25 mm; rounding reduces their compressed size to a third
 GRID = 2.0**-12
 
 Messages = Iterator[Any]
@@ -119,7 +119,7 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
         tyres.append((tyre, surfaces, _pack_points(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     pushed = arrows(scene, largest).values()
     for index, time in enumerate(times):
-        # each part is created inside its message, because adding a finished part would copy it point by point
+        # each part is created inside its message, because a finished part would be copied into the message point by point
         update = SceneUpdate()
         entity = _add_entity(update, time, frame(run), "struts")
         for look, points in zip(looks, struts, strict=True):
@@ -145,7 +145,7 @@ def _arrow(tail: Array, vector: Array) -> ArrowPrimitive:
     """Returns the arrow of a control force."""
     length = float(np.linalg.norm(vector))
     direction = vector / length
-    # Quaternion, not normalised, of the rotation from +x to the direction.
+    # Quaternion of the rotation that turns +x into the direction; it is not normalised.
     turn = np.array([1.0 + direction[0], 0.0, -direction[2], direction[1]])
     return ArrowPrimitive(
         pose=_pose(tail, turn / np.linalg.norm(turn)),

@@ -25,7 +25,7 @@ from sim.recording.scene import largest_force
 PACKAGE = "roadproof"
 
 
-Schema = tuple[str, str, bytes]  # name, encoding, data
+Schema = tuple[str, str, bytes]  # name, encoding and data of a schema
 # A channel: topic, schema, metadata, times [ns] and messages
 Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]
 
@@ -64,7 +64,7 @@ def write_mcap(
                 schemas[schema] = writer.register_schema(*schema)
             number = writer.register_channel(name, MessageEncoding.Protobuf, schemas[schema], described)
             messages += [(time, number, content) for time, content in zip(times, contents, strict=True)]
-        # Sorted by time, because players read a file from beginning to end
+        # Messages are sorted by time, because players read a file from beginning to end
         for time, number, content in sorted(messages, key=itemgetter(0)):
             writer.add_message(number, time, content, time)
         writer.finish()
@@ -125,8 +125,8 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
             type=FieldDescriptorProto.TYPE_DOUBLE if kind == "<f8" else FieldDescriptorProto.TYPE_FLOAT,
             label=FieldDescriptorProto.LABEL_OPTIONAL,
         )
-        # Path to the field `index` (2 in a message) of message 0 (4 in a file). The text becomes a comment above
-        # this field in the .proto file.
+        # Path to field number `index` of the first message of the file, with Protobuf's tags 4 (a message in a file) and 2 (a
+        # field in a message). The text becomes a comment above this field in the .proto file.
         file.source_code_info.location.add(
             path=(4, 0, 2, index),
             span=(index, 0, 0),
@@ -136,7 +136,7 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
     return f"{PACKAGE}.{message.name}", SchemaEncoding.Protobuf, FileDescriptorSet(file=[file]).SerializeToString()
 
 
-@np.errstate(over="ignore")  # a difference too large for single precision becomes infinite
+@np.errstate(over="ignore")  # a number too large for single precision becomes infinite
 def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
     """Yields every sample as a protobuf message of doubles, `<f8`, or of floats, `<f4`.
 
@@ -180,7 +180,7 @@ def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
             ("scene", scene.SceneUpdate, times, scene.moving_entities(run, times, largest)),
         ):
             contents = (message.SerializeToString() for message in messages)
-            if when or name == "events":  # an event panel needs its topic even if there are no events
+            if when or name == "events":  # an event panel needs its topic even in a run without events
                 yield topic(runs, run, name), _published_schema(kind), {}, when, contents
         low, high = run.scene.extent()
         stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # the cars of all runs are placed in a row

@@ -15,23 +15,23 @@ from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MEASURED_TOPIC, MU
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
 
-# Label, opacity and line width by response. Rerun draws in the order of names, so MuJoCo's line is drawn last, as a thin line
-# over broader lines.
+# Label, opacity and line width of each response. Rerun draws curves in the order of their names, so MuJoCo's line is drawn
+# last, as a thin line over broader ones.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
-NEUTRAL = "#8c8c8c"  # grey, which replaces the black of the report, because viewers can have a dark or a light background
+NEUTRAL = "#8c8c8c"  # grey replaces the black of the report, because the background of a viewer can be dark or light
 LOG_COLOUR = "#ff9f1c"  # colour of a measured log
-# colours of curves that do not belong to a run
+# colours of curves that do not show a run
 PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]
 
 TRAVEL = "suspension_deflection"
-# signals on the first page, for one corner of a car
+# signals that the first page shows for one corner of a car
 OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")
-ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # units of the quantities on the last page
-UNGROUPED_SIGNALS = 8  # largest number of signals that are not divided into groups
-MOST_ACTIVE = 6  # largest number of plotted states of a controller; all other states are only in the log
-CONTROLLER = "controller"  # name of the page with the states of a controller
-SEEN = 6  # largest number of plots on one page; if there were more, each would be too flat
-GAP = "difference"  # topic of the differences
+ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # unit of each quantity on the last page
+UNGROUPED_SIGNALS = 8  # if a vehicle has more signals than this, they are divided into groups
+MOST_ACTIVE = 6  # largest number of controller states that are plotted; the log also contains all other states
+CONTROLLER = "controller"  # name of the page that shows the states of a controller
+SEEN = 6  # largest number of plots on one page; a larger number would make each plot too flat
+GAP = "difference"  # topic that contains the differences between responses
 DIFFERENCE = "difference: MuJoCo - sampled, relative to each signal's peak"
 
 
@@ -125,8 +125,8 @@ def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
 
 
 def _compared_curves(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
-    # Rerun draws in the order of names. Lines become thinner in the order of the names, so that a curve behind another curve
-    # remains visible.
+    # Rerun draws curves in the order of their names, and each line is thinner than the previous one, so that a curve behind
+    # another curve remains visible.
     names = sorted((run.name for run in runs), reverse=True)
     for run in runs:
         if signal.name in run.responses[MUJOCO].names:
@@ -179,14 +179,14 @@ def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
     corners = [name.removeprefix(TRAVEL) for name in named if name.startswith(TRAVEL)]
     corner = max(corners, key=lambda one: _peak(runs, TRAVEL + one), default="")
     overview = [named[name + corner] for name in OVERVIEW if name + corner in named]
-    # with several corners, these pages compare the corners
+    # for a vehicle with several corners, these pages compare the corners
     others = [signal for signal in signals if len(corners) > 1 or signal not in overview]
     kinds: dict[str, list[Signal]] = {}
     for signal in others:
         kinds.setdefault(signal.name.split("_")[0] if len(others) > UNGROUPED_SIGNALS else "others", []).append(signal)
     small = [signal for kind in kinds.values() if len(kind) <= 2 for signal in kind]
     large = {name: kind for name, kind in kinds.items() if len(kind) > 2}
-    # the states of different controllers are different quantities
+    # each controller has its own page, because states of different controllers are different quantities
     active = runs[0].active[:MOST_ACTIVE] if len(runs) == 1 else ()
     kept = [signal for signal in signals_of(runs) if is_kept(signal) and signal.name in active]
     found = {"overview": overview, "car" if large else "others": small, **large, CONTROLLER: kept}

@@ -39,11 +39,12 @@ if TYPE_CHECKING:
 
 TIMELINE = "time"
 
-ROOM = 1.15  # half width of a diagram, relative to the largest value
+ROOM = 1.15  # half of a diagram's width, relative to the largest value
 GROUND = 13  # red, green and blue of Rerun's background
-READ = 4000  # largest number of characters that a page shows of a metadata value; enough for a gain from 45 states
+READ = 4000  # largest number of characters of one metadata value that a page shows; enough for a gain from 45 states
 
-# Shape and colour of the marker of each event, by text; no curve has these colours. Other events are marked by crosses.
+# Shape and colour of the marker of each event, by the event's text; no curve has one of these colours. A cross marks any other
+# event.
 MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
 ANY_MARKER = ("Cross", (225, 225, 225))
 
@@ -58,7 +59,7 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
-# share of a run's duration that is added after the end; otherwise, a plot would end with the data and cut off the last label
+# the time axis extends beyond the end of the run by this share of its duration; otherwise, a plot would cut off the last label
 AFTER_END = 0.04
 
 
@@ -167,7 +168,7 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         return
     texts = [text for _, text in run.events]
     index = time_index(np.array([time for time, _ in run.events]))
-    # The text includes the time, because a narrow view hides the column of times
+    # The event's text includes its time, because a narrow view hides the column of times
     lines = [f"{WHEN.text(time)}   {text}" for time, text in run.events]
     recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
     response = run.responses[MUJOCO]
@@ -247,7 +248,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
     for body, motion in scene.bodies.items():
         columns = rr.Transform3D.columns(
             translation=motion.positions,
-            quaternion=np.roll(motion.quaternions, -1, axis=1),  # w comes last
+            quaternion=np.roll(motion.quaternions, -1, axis=1),  # Rerun expects w as the last entry of a quaternion
         )
         recording.send_columns(entity(run.name, "world", body), time_index(scene.time), columns)
     for track in scene.tracks:
@@ -300,7 +301,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
 def _solid(shape: Shape) -> rr.AsComponents:
     """Returns a solid as a Rerun primitive."""
     looks: dict[str, Any] = {
-        "quaternions": [np.roll(shape.quaternion, -1)],  # Rerun writes w last
+        "quaternions": [np.roll(shape.quaternion, -1)],  # Rerun expects w as the last entry of a quaternion
         "colors": [(255 * shape.rgba).round().astype(np.uint8)],
         "fill_mode": "solid",
     }
@@ -311,7 +312,7 @@ def _solid(shape: Shape) -> rr.AsComponents:
         case "cylinder":
             return rr.Cylinders3D(radii=[radius], lengths=[2 * half_length], centers=[shape.position], **looks)
         case "capsule":
-            # Rerun's capsule starts at its origin along z, but `Shape` is centred.
+            # A capsule of Rerun extends from its origin along z, but a `Shape` is centred at its origin.
             start = shape.position - half_length * shape.rotation[:, 2]
             return rr.Capsules3D(radii=[radius], lengths=[2 * half_length], translations=[start], **looks)
         case "sphere":

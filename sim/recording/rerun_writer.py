@@ -35,14 +35,16 @@ from sim.recording.rerun_contents import (
 from sim.recording.run_log import LOADS, RunLog
 from sim.recording.scene import largest_force
 
-# Direction of view from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
+# Direction of view: from the left, slightly from the front and above, so that the struts are visible; x points forward, z
+# points up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
 FROM_BEHIND = np.array([1.0, -0.35, -0.14])  # direction of view for a vehicle in the roll plane, slightly from the left
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # tangent of half of Rerun's vertical field of view
 SKY = (206, 214, 224)  # background colour, against which black tyres are visible
-ROUNDING = 1e-9  # if one end of a curve's range is smaller than this share of the other end, it counts as 0
-CARS = 3.6  # ratio of width to height of the area for all cars, in a window of 1600 x 900
-# width of a letter in this window, and number of letters in a row of the certificate table, excluding the name
+ROUNDING = 1e-9  # if one end of a curve's range is smaller than this share of the other end, the smaller end counts as 0
+CARS = 3.6  # ratio of width to height of the area that shows all cars, in a window of 1600 x 900 pixels
+# width of a letter relative to a window of 1600 pixels, and number of letters in a row of the certificate table, excluding the
+# name
 LETTER, LETTERS = 6 / 1600, 34
 MARGIN = 0.04  # share of a plot's range that is added as a margin, so that no peak touches the border
 
@@ -55,7 +57,7 @@ def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
         root,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # The playback is in slow motion and repeats, because crossing a bump takes only half a second.
+        # The recording is played repeatedly in slow motion, because crossing a bump takes only half a second.
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="All", playback_speed=0.25),
         auto_views=False,
     )
@@ -121,8 +123,8 @@ def _view(plot: Plot, runs: Sequence[RunLog], first: bool) -> rrb.View:
     paths = {curve_path(curve): lines([curve]) for curve in plot.curves}
     signal = plot.curves[0].signal
     happened = [entity(run.name, "signals", signal, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)]
-    # If there are several runs, the plot with the legend shows no events, because their markers would need further legend
-    # entries.
+    # With several runs, the plot that contains the legend shows no events, because their markers would add entries to the
+    # legend.
     marked = happened if plot.curves[0].topic != LOADS and (len(runs) == 1 or not first) else []
     return _series(title, curves, first, origin="/", contents=[f"+ {path}" for path in (*paths, *marked)], overrides=paths)
 
@@ -203,10 +205,12 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         OSError: the file cannot be written.
         ValueError: Rerun cannot log some data.
     """
-    # The viewer keeps one layout per application id. A layout fits only its own recording, because its plots have fixed ranges.
+    # The viewer stores one layout for each application id. Each recording has its own id, because the plots of a layout have
+    # fixed ranges that fit only one recording.
     digest = zlib.crc32(repr((metadata, [run.metadata for run in runs])).encode())
     application = re.sub(r"[^A-Za-z0-9_-]+", "-", f"roadproof-{'-'.join(run.name for run in runs)}-{digest:08x}")
-    recording = rr.RecordingStream(application, send_properties=False)  # the properties would contain only the time of writing
+    # properties are not sent, because they would contain only the time of writing
+    recording = rr.RecordingStream(application, send_properties=False)
     strict = rr.strict_mode()
     rr.set_strict_mode(True)  # without strict mode, Rerun only warns about data that it cannot log
     try:
@@ -231,7 +235,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
             log_events(recording, run)
             log_scene(recording, run, largest)
     finally:
-        recording.disconnect()  # flushes and closes the file
+        recording.disconnect()  # writes the remaining data and closes the file
         rr.set_strict_mode(strict)
     _check_complete(path)
 

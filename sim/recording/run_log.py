@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
-# Version of the definition of signals at a sample; logs without a version follow the definition of `RoadInput.earlier`
+# Version that defines the values of signals at a sample; a log without a version follows the definition of `RoadInput.earlier`
 SIGNALS = 2
-NAME = re.compile(r"[\w-]{1,120}")  # allowed name of a run: the controller's name, to which a command may add text
+NAME = re.compile(r"[\w-]{1,120}")  # allowed name of a run: the name of its controller, to which a command may add text
 RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
-# Topics of the responses of a run in an MCAP file, and entities in a Rerun file. In files and in result.json, the exact sampled
-# response is called `linear`; everywhere else it is called "sampled".
+# Names of a run's responses: topics in an MCAP file, entities in a Rerun file. The exact sampled response is called `linear` in
+# files and in result.json, but "sampled" everywhere else.
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
-LOADS, DAMPERS = "loads", "dampers"  # topics of other forces, which older logs of this format do not have
-MEASURED_TOPIC = "measured"  # topic of a measured log, if present, with its own times
-WHOLE = ("bump", "drive")  # commands whose logs contain all runs, so that the whole result can be recomputed
+LOADS, DAMPERS = "loads", "dampers"  # topics of loads and damper forces, which older logs of this format do not have
+MEASURED_TOPIC = "measured"  # topic of the measured log, if there is one; a measured log has its own times
+WHOLE = ("bump", "drive")  # commands that write all runs to their log, so that the whole result can be recomputed
 
 
 @dataclass(frozen=True, eq=False)

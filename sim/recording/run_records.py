@@ -45,8 +45,8 @@ FORMS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
 }
 
-FRAMES = 60  # frames per second
-LONGEST = 60  # largest number of letters of a vehicle file's name in the name of a log
+FRAMES = 60  # frames of the recorded motion per second
+LONGEST = 60  # largest number of letters that the name of a log takes from the vehicle file's name
 
 BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start, and ahead of the first wheel at the end [m]
 SPACING, MOST = 0.05, 20_000  # spacing of the points of a profile [m], and largest number of points apart from those under wheels
@@ -69,7 +69,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGENCE_LIMIT, axis=-1)]
-    # The stored heights are used, because computing a random road at uneven times would be slow
+    # The stored road heights are used, because a random road is slow to compute at uneven times
     heights = road_input.heights[frames]
     mocap = mocap_indices(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
@@ -110,8 +110,8 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
     """
     if not len(time) or not road.laid:
         return ()
-    # Positions are compared with a tolerance of a micrometre. Wheels whose positions differ between drawing and parameters get
-    # their own profiles.
+    # Wheel positions in the drawing and in the parameters are compared with a tolerance of a micrometre. Wheels whose positions
+    # differ get their own road profiles.
     wheels: dict[tuple[str, float, float], list[int]] = {}
     later = np.array(delays(road, vehicle))
     for i, wheel in enumerate(vehicle.kind.wheels):
@@ -123,7 +123,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
     even = np.linspace(first, last, count)  # evenly spaced times, at which a random road can be computed quickly
     tracks = []
     for (side, start, middle), members in wheels.items():
-        # The profile has a point at every wheel in every frame.
+        # The road profile has a point under every wheel in every frame.
         t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
         height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
         bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
@@ -337,6 +337,6 @@ def _active(run: Run) -> tuple[str, ...]:
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
     gains = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow
+    with np.errstate(over="ignore", invalid="ignore"):  # signals of an unstable loop may overflow
         peaks = [float(np.nan_to_num(gain * run.sampled.peak(name), nan=np.inf)) for gain, name in zip(gains, names, strict=True)]
     return tuple(names[i] for i in np.argsort(-np.array(peaks), kind="stable"))

@@ -183,18 +183,18 @@ class Scene:
         return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-TURNS, POINTS = 6, 49  # number of turns, and number of points, of a coil
-SECTORS = 40  # sectors of a tyre
+TURNS, POINTS = 6, 49  # number of turns of a drawn coil spring, and number of points of its line
+SECTORS = 40  # number of sectors of a drawn tyre
 
-# Radius [m] and colour of the lines of a strut: coil, rod and tube.
+# Radius [m] and colour of the lines that draw a strut: coil spring, rod and tube.
 LINES = ((0.011, (235, 175, 45)), (0.012, (165, 170, 178)), (0.03, (95, 100, 110)))
 
 LIFTED_COLOUR = (214, 39, 40)  # colour of a tyre that is off the ground
-FORCE, LONGEST = (190, 60, 200), 0.3  # colour of the arrow of a force, and length of the longest arrow [m]
+FORCE, LONGEST = (190, 60, 200), 0.3  # colour of an arrow that shows a force, and length of the longest arrow [m]
 BESIDE = np.array([0.0, 0.16, 0.0])  # position of an arrow relative to the middle of its spring [m]
 
-ROAD, THICK = 0.2, 0.12  # half width and thickness of a track [m]
-ASPHALT, SIDE, PROFILE = ((104, 107, 113), (124, 127, 133)), (70, 72, 78), (250, 250, 245)  # colours of a track
+ROAD, THICK = 0.2, 0.12  # half width and thickness of a drawn wheel track [m]
+ASPHALT, SIDE, PROFILE = ((104, 107, 113), (124, 127, 133)), (70, 72, 78), (250, 250, 245)  # colours of a drawn wheel track
 
 
 def largest_force(scenes: Iterable[Scene]) -> float:

@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
-        # No child processes if `main` is called from Python
+        # If Python code calls `main`, it starts no child processes
         with Processes(processes(options.quick) if arguments is None else 0) as pool:
             results[title] = _write_report(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].scores})
@@ -252,7 +252,7 @@ OF_A_VEHICLE = (
         "speed",
         "duration",
     ),
-)  # these options do not apply to the page of the gallery
+)  # the page of the gallery does not have these options
 
 
 def _gallery(options: argparse.Namespace) -> int:

@@ -31,10 +31,11 @@ ENERGY: tuple[Field[Energy], ...] = (
     RESIDUAL,
     ALLOWED,
 )
-DIAGRAM_POINTS = 60  # approximate number of points of a MuJoCo run in a diagram
-ROOM = 1.15  # range of both axes, relative to the largest value
-MOST_ORDERS = 4  # largest number of controllers with an order of convergence, because each needs a run with twice as many steps
-Finer = Mapping[str, SignalAgreement]  # agreement of a run that is repeated at half the timestep, by signal
+DIAGRAM_POINTS = 60  # approximate number of points that show a MuJoCo run in a diagram
+ROOM = 1.15  # length of both axes, relative to the largest value
+# largest number of controllers whose order of convergence is computed, because each needs a run with twice as many steps
+MOST_ORDERS = 4
+Finer = Mapping[str, SignalAgreement]  # agreement of each signal when the run is repeated at half the timestep
 NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
@@ -135,7 +136,7 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
     pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
     linear = not (scope.vehicle.parts.nonlinear or scope.vehicle.dampers)
-    # Without delay and sample period, the sampled response converges to the continuous response
+    # If the implementation has no delay and no sample period, the sampled response converges to the continuous response
     prompt = scope.vehicle.implementation.undelayed
 
     def settles(run: Run) -> bool:

@@ -17,9 +17,9 @@ from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, r
 from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values
 
-POINTS, MARKS = 800, 25  # approximate number of points of a drawn line, and of MuJoCo's markers
-BAND = 30.0  # factor between the published frequency and each end of a drawn frequency response
-LOW, HIGH, ABOUT = 0.1, 100.0, 400  # lowest and highest frequency [Hz] of a singular value plot, and its number of points
+POINTS, MARKS = 800, 25  # approximate number of points of a drawn line, and of markers that show MuJoCo
+BAND = 30.0  # a drawn frequency response extends from the published frequency by this factor in both directions
+LOW, HIGH, ABOUT = 0.1, 100.0, 400  # lowest and highest frequency of a singular value plot [Hz], and number of its points
 
 
 def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:

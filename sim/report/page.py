@@ -19,7 +19,7 @@ from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers
 
-RUNS = "runs"  # name of the stage that simulates all controllers over the road of the page
+RUNS = "runs"  # name of the stage that simulates all controllers over the page's road
 Begin = Callable[[dict[Name, Any], Progress], Callable[[], dict[Name, Any]]]
 
 
@@ -47,7 +47,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
         begin: function that starts requests and returns a function that waits for their results, such as `Processes.begin`.
         progress: callback that receives the name of the current study.
     """
-    # A copy of `scope` without the cached runs, which would be large to transfer
+    # The copy of `scope` omits the cached runs, because transferring them would take long
     answers = begin(requests_of(replace(scope)), progress)
     progress(RUNS)
     runs, results = scope.runs, dict[str, dict[str, Any]]({name: {} for name in STUDIES})

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.threads import cores
 
-if TYPE_CHECKING:  # only for type checks: at run time, this would import nearly everything before the child processes start
+# imported only for type checks: at run time, it would import nearly everything before the child processes start
+if TYPE_CHECKING:
     from sim.studies.study import Progress
 
-MOST = 3  # largest number of processes; more would not help, because the longest request alone would take as long
-Name = tuple[str, str]  # name of a request: its study, and its subject within this study
+# largest number of child processes; more processes would not save time, because the longest request alone takes as long
+MOST = 3
+Name = tuple[str, str]  # name of a request: the study that it belongs to, and its subject within this study
 
 
 def processes(quick: bool) -> int:
@@ -30,8 +32,8 @@ class Processes:
         """Starts `count` processes, which import the modules that most requests need."""
         self._pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _end_with_parent) if count else None
         if self._pool is not None:
-            block = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows does not have this function
-            # Child processes inherit the blocked signal, so that Ctrl-C reaches only this process
+            block = getattr(signal, "pthread_sigmask", lambda *_: None)  # this function does not exist on Windows
+            # The signal is blocked, and child processes inherit the block, so that Ctrl-C reaches only this process
             block(signal.SIG_BLOCK, {signal.SIGINT})
             for _ in range(count):
                 self._pool.submit(_prepare)

@@ -24,7 +24,8 @@ from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.report import OneEnd
 from synth.controller.report import NORM
 
-PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # titles of the panels in the first figure, by quantity
+# title of each panel in the first figure, by quantity
+PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}
 
 
 def first_screen(

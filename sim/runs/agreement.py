@@ -42,11 +42,13 @@ from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreem
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
 
-ROUNDING = 1e-9  # rounding error over thousands of steps, relative to a peak
-COARSEST = 1e-2  # relative to a peak; if the error of RK4 is larger, the time step is too coarse for an accurate run
-SMALL = 1e-2  # factor on the road height at which the effect of geometry must vanish
+ROUNDING = 1e-9  # largest rounding error that thousands of steps cause, relative to a peak
+# largest error of RK4, relative to a peak, in an accurate run; if the error is larger, the time step is too coarse
+COARSEST = 1e-2
+SMALL = 1e-2  # at a road height reduced by this factor, nonlinear geometry must have no effect
 NO_REFERENCE = "no linear analysis"
-# Factor on the predicted integrator error, which is a maximum over time and is predicted for one of two nearly equal curves
+# Factor that multiplies the predicted error of the integrator, because the prediction is a maximum over time for one of two
+# nearly equal curves
 SLACK = 1.5
 
 
@@ -110,7 +112,7 @@ class LinearComparison:
         return self.prediction.cause or own
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
+    @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def signals(self) -> Mapping[str, SignalAgreement]:
         """Differences of each output signal by name."""
         prediction, signals = self.prediction, dict[str, SignalAgreement]()
@@ -133,14 +135,14 @@ class LinearComparison:
     def coarse(self) -> bool:
         """True if the error of RK4 in the linear response exceeds `COARSEST`."""
         rate, prediction = effect_on_states(self.prediction.vehicle)[0], self.prediction
-        # In each step, RK4 replaces exp(z) by a polynomial with an error of z^5 / 120. Sharp knots of characteristics may
-        # increase this error.
+        # With z = eigenvalue times step, RK4 replaces exp(z) in each step by a polynomial, whose error is about z^5 / 120.
+        # Sharp knots of characteristics may increase this error.
         most = rate * float(prediction.time[-1]) * (rate * prediction.timestep) ** 4 / 120
         doubtful = most > COARSEST / 4 or prediction.vehicle.parts.nonlinear
         return doubtful and any(error > COARSEST for error in self._own_errors.values())
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
+    @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def _own_errors(self) -> dict[str, float]:
         """Error of RK4 in each signal, relative to the peak of the response without this error."""
         exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer
@@ -238,8 +240,8 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
-    # If the motion of a loop grows threefold per step, a hub may pass through the road and back within a step. The predicted
-    # deflections show whether this happens.
+    # If an unstable loop's motion triples in every step, a hub may pass through the road and back within a step. The predicted
+    # deflections show whether it does.
     if prediction.is_linear and _passes_through(vehicle, physics):
         foretold = dict(zip(END_NAMES, end_times(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
         if foretold < until:
@@ -247,7 +249,8 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
     if (compare_steps := OBSERVERS.load_if_known("steps")) is not None:
         end = min(ended[FLAT.name], diverged)
-        if vehicle.kind.motion is None:  # the linear model of such a vehicle type is only valid while all tyres are in contact
+        # without equations of motion, the linear model of a vehicle type is valid only while all tyres are in contact
+        if vehicle.kind.motion is None:
             end = min(end, ended[LIFT_OFF.name], loose)
         steps = compare_steps(road, recording, end, rounding)
         if steps is not None and steps.equations_invalid:

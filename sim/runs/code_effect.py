@@ -19,7 +19,8 @@ from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
 OF_CODE = Field[str]("difference", str, ".2g")
-MOST = 1e-2  # relative to a peak; code that changes a signal by more does not implement the law
+# largest change of a signal by exported code, relative to its peak; code with a larger effect does not implement the law
+MOST = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,8 @@ def _differences(effect: CodeEffect) -> dict[str, Any]:
     return {name: {"peak": effect.peak(name), "rms": effect.rms(name)} for name in effect.apart}
 
 
-DIFFERENCES = Record[CodeEffect](_differences)  # difference between the runs with the exported code and with the law, by signal
+# difference in each signal between the run with the exported code and the run with the law
+DIFFERENCES = Record[CodeEffect](_differences)
 
 
 def code_notes(effect: CodeEffect, vehicle: Vehicle) -> list[str]:

@@ -16,7 +16,8 @@ from sim.drive.response import Response
 from sim.linear.dampers import closing_velocities, commands_of, squarable
 from sim.runs.result import RunResult
 
-HALF = 0.5  # share of the requested force; if dampers miss more, linear analysis does not describe the run
+# if the dampers fail to produce more than this share of the requested force, linear analysis does not describe the run
+HALF = 0.5
 COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 
 

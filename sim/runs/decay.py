@@ -18,10 +18,10 @@ from sim.linear.rounding import effect_on_states
 from sim.runs.result import RunResult
 
 PER_PERIOD = 8  # samples per period of the vehicle's fastest mode
-LATER = 3  # number of successive samples; with several samples, states that are not signals are also included
-SMALLEST = 1e-6  # relative to the largest singular value; smaller singular values are removed
-SHARE = 0.01  # a mode with a smaller share of the energy of the decay is not reported
-FEWEST = 40  # smallest number of samples of a decay
+LATER = 3  # number of successive samples in one block; a block also contains the effect of states that are not signals
+SMALLEST = 1e-6  # smaller singular values, relative to the largest one, are removed
+SHARE = 0.01  # smallest share of the decay's energy with which a mode is reported
+FEWEST = 40  # smallest number of samples from which a decay is analysed
 
 FREQUENCY = Field[float]("frequency", float, ".4g", unit="Hz")
 DAMPING = Field[float]("damping ratio", float, ".3f")
@@ -75,7 +75,7 @@ def modes_of(run: RunResult, response: Response) -> tuple[Mode, ...]:
     blocks = np.concatenate([signals[:, i : i + count] for i in range(LATER)])
     U, sizes, V = np.linalg.svd(blocks, full_matrices=False)
     rank = int((sizes > SMALLEST * sizes[0]).sum())
-    states = sizes[:rank, None] * V[:rank]  # states of all blocks, as coordinates along the first singular vectors
+    states = sizes[:rank, None] * V[:rank]  # state of each block, as its coordinates along the first singular vectors
     step = np.linalg.lstsq(states[:, :-1].T, states[:, 1:].T)[0].T
     values, vectors = np.linalg.eig(step)
     along = np.linalg.lstsq(vectors, states.astype(complex))[0]

@@ -47,7 +47,7 @@ def _load_names(loads: Sequence[Load]) -> list[str]:
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]
 
 
-LONGEST = 26  # largest number of characters that a number and its separator need
+LONGEST = 26  # largest number of characters in a number and its separator
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:

@@ -15,7 +15,7 @@ from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import BOUND, GROWTH, NORM, PEAK
 
-SIZE = Field[float]("size", float, ".5g")  # of a signal
+SIZE = Field[float]("size", float, ".5g")  # peak or rms of a signal
 SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # peak and rms of a signal of a run
     Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form, key=name.lower())
     for what in ("peak", "rms")
@@ -26,7 +26,7 @@ SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # peak and rms of a si
 BALANCE = Record[Energy](
     lambda one: {key: value for key, value in asdict(one).items() if key not in ("least", "loads") or value is not None},
     balances=lambda one: one.balances if one.judged else None,
-)  # energy balance [J]; the residual is a share of `turnover`
+)  # fields of an energy balance [J]; the residual is given as a share of `turnover`
 
 
 def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
@@ -56,7 +56,7 @@ def _decay(run: RunResult) -> dict[str, Any]:
     return FEATURES.load("decay").record(run)
 
 
-HALF_STEP = Record("difference", "signal")  # change of the response at half the time step after a lift-off
+HALF_STEP = Record("difference", "signal")  # change of the response if a run with a lift-off is repeated at half the time step
 SIGNAL = Record[tuple[RunResult, str]](
     unit=lambda of: of[0].vehicle.kind.signal(of[1]).unit,
     peak=Record(*SIZES[:3]),
@@ -77,7 +77,7 @@ def controller_record(controller: AnyController) -> dict[str, Any]:
     return {**controller.record, **claims(controller.certificate), **GROWTH(controller)}
 
 
-RUN = np.errstate(over="ignore")(  # the squares of an unstable loop's signals overflow; infinite values become None
+RUN = np.errstate(over="ignore")(  # squares of an unstable loop's signals overflow; None is written for infinite values
     Record[RunResult](
         Record(
             controller=lambda run: controller_record(run.controller),

@@ -67,7 +67,7 @@ LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 EXCHANGED = Field[Energy]("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]")
 RESIDUAL = Field[Energy]("residual", attrgetter("residual"), "{:.1e}".format, column="left over")
 ALLOWED = Field[Energy]("allowed", attrgetter("allowed"), "{:.1e}".format)
-FAR_OFF = 100.0  # multiple of a peak; a larger error of a linearisation is that of an unstable loop
+FAR_OFF = 100.0  # if a linearisation's error is larger than this multiple of a peak, its loop is unstable
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 WHOLE = "signal, over the whole run"
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
@@ -227,7 +227,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     if not full and detail == "full":
         return stops
     said = [*notes(*_events(run)), *(FEATURES.load("forces that dampers lack").damper_notes(run) if run.vehicle.dampers else [])]
-    if not run.physics.law_diverged or run.passed:  # otherwise, rounding determines the forces of the law
+    if not run.physics.law_diverged or run.passed:  # after the law has diverged, rounding determines its forces
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
     return (*stops, *(replace(one, detail=detail) for one in said))
@@ -329,7 +329,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"
     if wrong:
         size, own = f"{size} of a peak{small} ({worst})", DIFFERENCE.digits(signal.allowed)
-        if agreement.follows_linear:  # the checks of steps and commands determine the verdict
+        if agreement.follows_linear:  # the verdict then follows from the checks of steps and commands
             yield Statement(
                 f"MuJoCo differs from {what} {_when(run)} by up to {size}; RK4's own error and rounding account for {own}"
             )
@@ -373,7 +373,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
-@np.errstate(over="ignore")  # the squares of an unstable loop's signals overflow; infinite values are shown as "-"
+@np.errstate(over="ignore")  # squares of an unstable loop's signals overflow; "-" is shown for infinite values
 def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     """Describes a run as a document: verdict, norm and bound of the controller, signals, and the reasons for the verdict.
 
@@ -418,12 +418,12 @@ def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     Pages and logs also contain peak and rms of the linear responses.
     """
     rows, on = [], run.prediction.input
-    # On a flat road, all motion is due to rounding errors
+    # On a flat road, only rounding errors cause motion
     still = not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start
     for name, signal in run.agreement.signals.items():
         was = None if still else passive
         if was is not None and was.peak(name) < was.scale(name):
-            was = None  # a signal that symmetry keeps at zero contains only rounding errors
+            was = None  # None, because symmetry keeps the signal at zero, apart from rounding errors
         numbers = {field.label: "-" if math.isfinite(run.diverged) else field.cell((run, name)) for field in SIZES}
         cells = {WHOLE: f"{name} [{run.vehicle.kind.signal(name).unit}]"}
         for kind in ("peak", "rms"):

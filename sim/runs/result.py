@@ -19,7 +19,7 @@ from synth.controller.controller import AnyController
 
 COARSE = "the timestep is too coarse for accurate numbers"
 NOT_REPEATABLE = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
-ADVICE = {  # reasons why a run is undecided, each with advice for the user
+ADVICE = {  # advice for the user, for each reason why a run is undecided
     COARSE: "give a smaller timestep",
     NOT_REPEATABLE: "seed its random numbers, and keep its state in `state`, or reset the state in a method reset()",
 }
@@ -108,7 +108,7 @@ class RunResult:
         line, physics = (one.until(self.agreement.until) for one in (line, self.physics))
         left_out = {one.name for fitted in self.vehicle.parts if fitted.part.kinked_at_rest for one in fitted.states}
         names = [name for name in self.agreement.signals if name not in left_out]
-        with np.errstate(over="ignore", invalid="ignore"):  # an unstable linearisation may overflow
+        with np.errstate(over="ignore", invalid="ignore"):  # responses of an unstable linearisation may overflow
             apart = {name: float(np.max(np.abs(physics[name] - line[name]))) for name in names}
             return {name: one / (physics.scale(name) or 1.0) for name, one in apart.items()}
 

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from sim.drive.driver import RunDriver
     from sim.runs.code_effect import CodeEffect
 
-RK4_REACH = 2.7  # largest product of rate and step of a first-order lag for which RK4 is stable; the exact value is 2.785
-MOST_SAMPLES = 1_000_000  # largest number of samples; a run with this number takes 0.4 GB and half a minute
+RK4_REACH = 2.7  # RK4 counts as stable for a first-order lag if rate times step is at most this; the exact limit is 2.785
+MOST_SAMPLES = 1_000_000  # largest number of samples in a run; such a run takes 0.4 GB and half a minute
 STIFF = 1e-4  # s; no vehicle in SI units needs a shorter time step
 
 

@@ -8,7 +8,7 @@ from models.characteristics.adjustable_range import CURVE_KEYS
 from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 
-OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators] that are also varied
+OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators] whose values are also varied
 
 
 def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
@@ -18,7 +18,7 @@ def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     """
     quantities: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
-        # A limit that is a characteristic is not a number.
+        # A limit that is given as a characteristic cannot be multiplied like a number.
         own = [one for one in vehicle.parts.adjustable if one.damper.replaces]
         curved = {one for one in own if name in CURVE_KEYS and one.damper.pair is not None}
         values: dict[SettablePart, Any] = {one: None if one in curved else getattr(one.damper, name) for one in own}

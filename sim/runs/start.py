@@ -20,9 +20,9 @@ from sim.linear.rounding import roundings
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
-RUN_IN = 10.0  # s; longest duration on the rotated road
-SAID_SHARE = 0.02  # share of a peak above which the effect is reported
-# If an effect is smaller than this multiple of the rounding error of a state or a signal, it counts as zero
+RUN_IN = 10.0  # s; longest time for which a run drives over the rotated road
+SAID_SHARE = 0.02  # an effect is reported if it exceeds this share of a peak
+# An effect counts as zero if it is smaller than this multiple of the rounding error of its state or signal
 ROUNDING_FACTOR = 1e3
 
 
@@ -58,7 +58,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
             if (peak := float(physics.peak(signal))) > ROUNDING_FACTOR * least[
                 signal
-            ]:  # otherwise, the peak is only a rounding error, as in a run without motion
+            ]:  # a smaller peak is only a rounding error, as in a run without motion
                 effects.append((left / peak, f"the peak of {run.controller.name}'s {signal} at {WHEN.text(k * h)}"))
     worst = max(effects)
     return worst if worst[0] > SAID_SHARE else None

@@ -65,7 +65,7 @@ def _is_stop(part: Part) -> bool:
     return any(limit.end == BUMP_STOP.name for limit in part.limits())
 
 
-# Compression [m], force [N] and time [s] for each stop in a run; None if the stop is not reached
+# Largest compression [m] and force [N] of each stop in a run, with the time [s]; None if the stop is not reached
 STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)
 
 

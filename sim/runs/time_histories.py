@@ -15,11 +15,11 @@ from sim.observers.results import WHEN
 from sim.runs.record import SIZE
 from sim.runs.result import RunResult
 
-POINTS = 24  # approximate number of points that show MuJoCo
-OF_LINE = 600  # number of points of a line
-NAMED_RUNS = 2  # largest number of runs that leave the axis and are named in the title
-LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # line widths [points]; `FAINT` is a factor on the width
-# largest number of oscillations that are readable in a line; for a run with more, additional panels show its hardest part
+POINTS = 24  # approximate number of points that show a MuJoCo run
+OF_LINE = 600  # number of points of a drawn line
+NAMED_RUNS = 2  # largest number of runs that the title names because they leave the axis
+LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # line widths [points]; `FAINT` multiplies the width
+# largest number of oscillations that a line can show legibly; if a run has more, additional panels show its most severe part
 MOST_SWINGS = 80
 
 
@@ -244,7 +244,7 @@ def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
 
 def _stays_bounded(run: RunResult) -> bool:
     """Returns True if a run has not become invalid, and its loop is not known to be unstable."""
-    return run.broke_off is None and not run.prediction.radius >= 1  # the radius is NaN for a loop that is not linear
+    return run.broke_off is None and not run.prediction.radius >= 1  # for a loop that is not linear, the spectral radius is NaN
 
 
 def _least(runs: Sequence[RunResult]) -> str:

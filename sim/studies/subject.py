@@ -22,11 +22,11 @@ from synth.controller.loop_of import loop_of, radius
 from synth.controller.report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
-BUMP_DURATION = 3.0  # s, duration of the run over the bump
-COARSER = 2.5  # largest timestep for the map, relative to the timestep of the report
+BUMP_DURATION = 3.0  # s, time for which the vehicle drives over the bump
+COARSER = 2.5  # largest timestep with which the map is computed, relative to the timestep of the report
 AMPLITUDE = 1e-4  # m, amplitude of the sinusoidal roads for frequency responses
 SPEED, SEEDS = 20.0, (0, 1, 2, 3)  # speed [m/s] and seeds of the random roads
-AVERAGE = "C"  # road class on which the report compares the controllers
+AVERAGE = "C"  # class of the road on which the report compares the controllers
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Subject:
 
     @property
     def road(self) -> Road:
-        """Road of all runs: `own_road`, or the paper's bump."""
+        """Road used in all runs: `own_road`, or the bump of the reference paper."""
         return self.own_road or Bump()
 
     @property

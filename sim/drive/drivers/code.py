@@ -20,7 +20,7 @@ from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
 
-NEARLY = 1 - 1e-6  # share of a limit at which it counts as reached, because rounding to float may make the limit smaller
+NEARLY = 1 - 1e-6  # a limit counts as reached at this share of it, because rounding to float may make the limit smaller
 
 
 class CodeDriver:
@@ -61,13 +61,13 @@ class CodeDriver:
 
             self.measured = (*self.measured, *closing_names(first))
             self._range = range_of(vehicles)
-        # The code expects extension velocities, which have the opposite sign
+        # The exported code expects extension velocities, whose sign is the opposite
         self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])
         if self._semi_active is not None:
             self._semi_active.start(vehicles, timestep)
         self._limiter, self._given = command_limiter(vehicles, timestep), np.zeros_like(self._nominal)
         size = len(law.outputs) * (1 if self._range is None else 2)
-        self._late = [np.zeros((len(vehicles), size))] * law.delay  # commands of the law that are still delayed
+        self._late = [np.zeros((len(vehicles), size))] * law.delay  # delayed commands of the law, which have not yet arrived
         return np.zeros((len(vehicles), law.states))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:

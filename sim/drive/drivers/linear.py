@@ -16,7 +16,7 @@ from synth.controller.controller import Controller
 if TYPE_CHECKING:
     from models.parts.damper_range import CoefficientRange
 
-IN_ORDER = 8  # number of terms from which NumPy's sum adds pairs first
+IN_ORDER = 8  # from this number of terms on, NumPy adds pairs of terms first instead of one term after the other
 
 
 class LinearDriver:
@@ -57,7 +57,7 @@ class LinearDriver:
                 FEATURES.load("damper ranges").range_of(vehicles, most),
                 command_limiter(vehicles, timestep),
             )
-            self._given = np.zeros((count, m))  # commands of the last sample, which a rate limit needs
+            self._given = np.zeros((count, m))  # commands at the last sample, with which a rate limit is computed
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)
         self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))
@@ -69,9 +69,11 @@ class LinearDriver:
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         m, q = self._forces, len(self._gain)
-        # Measurements of other controllers are multiplied by zero, which does not change the rounding.
+        # Each controller's gain is zero for measurements of other controllers; adding such zero terms does not change the
+        # rounding.
         products = self._gain * y.T[:q, :, None]
-        # NumPy adds a few terms one after the other for any number of runs. For more terms, NumPy may change the order.
+        # With few terms, NumPy adds one term after the other, for any number of runs. With more terms, the order may depend on
+        # the number of runs.
         computed = np.add.reduce(products, axis=0) if q < IN_ORDER else sum(products, start=np.zeros(products.shape[1:]))
         if state.shape[1]:
             computed += np.matvec(self._memory, state)

@@ -15,7 +15,7 @@ from sim.drive.driver import Driver, Failure, Request
 if TYPE_CHECKING:
     from models.laws.python_runtime import FileRuns, LawRuns
 
-WILD = 1e8  # largest measurement, in SI units; beyond it, the run has diverged, and its law is no longer called
+WILD = 1e8  # largest measurement, in SI units, with which a Python law is called; a run with a larger one has diverged
 
 
 def in_python(controllers: Sequence[PythonController], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:

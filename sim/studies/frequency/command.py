@@ -61,7 +61,7 @@ examples:
     takes = "several"
     usual = ("passive", "state", "I", "II")
     seconds = 5.0
-    # Names of LINES, EXTREMES and OWN in `sim.studies.frequency.sweep`
+    # Names of the arguments LINES, EXTREMES and OWN in `sim.studies.frequency.sweep`
     stages = ("frequency responses", "norms", "laws in Python")
 
     def add_options(self, parser: Parser) -> None:

@@ -21,8 +21,8 @@ from sim.studies.frequency.identification import check, ideal_measurements, sett
 from sim.studies.frequency.sinusoids import PeriodicRoad, chirp_lines, drive_periodic
 from synth.controller.controller import AnyController
 
-SINUSOIDS = 20  # number of frequencies, over the same range as the chirp of linear controllers
-STEADY = 1e-3  # a note is printed if a fundamental changes by a larger share from one period to the next
+SINUSOIDS = 20  # number of sinusoid frequencies; their range is the same as that of the chirp for linear controllers
+STEADY = 1e-3  # a note is printed if the fundamental changes by more than this share between successive periods
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def describing_function(
     measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
     diverged = np.array(times)
     size = np.where(np.isfinite(diverged)[:, None], 0.0, np.abs(measured))
-    scale = np.maximum(size, SILENT * size.max(axis=0))  # a fundamental that is almost zero need not be steady
+    scale = np.maximum(size, SILENT * size.max(axis=0))  # if a fundamental is almost zero, it need not be steady
     change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
     drift = float(np.where(np.isnan(outside), 0.0, change).max())
     values = (measured, outside, gains, drift, without, tuple(ended))

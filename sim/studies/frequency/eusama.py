@@ -34,10 +34,11 @@ from sim.studies.frequency.identification import ideal_measurements
 from sim.studies.frequency.sinusoids import ALIASING_LIMIT, HIGHEST, PeriodicRoad, PeriodicRun, drive_periodic, whole_periods
 from synth.controller.controller import Controller
 
-STROKE = 3e-3  # m, amplitude of the plate
-LOWEST, GRID = 0.3, 600  # lowest frequency [Hz], below which the wheel follows the plate, and number of frequencies
-WINDOW = 4.0  # s, duration of the whole periods that are fitted
-# Allowed relative effect of the body's rotation on a tyre deflection; 3 mm under one wheel of a car cause only 1e-5
+STROKE = 3e-3  # m, amplitude with which the test plate moves
+LOWEST, GRID = 0.3, 600  # lowest frequency [Hz], below which the wheel follows the test plate, and number of frequencies
+WINDOW = 4.0  # s, duration of the whole periods to which sinusoids are fitted
+# Largest relative effect of the body's rotation on a tyre deflection; a height of 3 mm under one wheel of a car causes only
+# 1e-5
 TURNING_SHARE = 1e-3
 DISPUTED_LIMIT = "disputed: stiff tyres under light axles fail with sound dampers (Klapka, Mazurek, Machacek 2016)"
 

@@ -21,15 +21,15 @@ from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sinusoids import HIGHEST, LOWEST
 from synth.controller.controller import Controller
 
-POINTS = 600  # number of points of a line; adjacent frequencies differ by 1 %
-CLOSELY = 41  # number of additional points at each maximum and minimum of a line
-EVERY = 2  # every second measured frequency is drawn
+POINTS = 600  # number of points of a line; neighbouring frequencies then differ by 1 %
+CLOSELY = 41  # number of points that are added at each maximum and minimum of a line
+EVERY = 2  # only every second measured frequency is drawn
 STEP = Field[float]("timestep", lambda one: one, "g", 1e3, unit="ms")
 HERTZ = Field[float]("frequency", lambda one: one, ".3g", unit="Hz")
 PEAK = Field[float]("peak", lambda one: one, ".3g")
 SHARE = Field[float]("share", lambda one: one, ".0f", 100, unit="%")
 BAND = (LOWEST, HIGHEST)
-TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
+TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # labelled frequencies [Hz]
 
 
 def sweep_figure(
@@ -61,7 +61,8 @@ def sweep_figure(
             i = one.outputs.index(signal)
             sizes = np.abs(one.sampled).max(axis=0)
             if sizes[i] <= SILENT * loudest_alike(sizes, one.units)[i]:
-                # The signal is zero, for example the force of the passive vehicle, or roll on a road with equal sides.
+                # The signal is zero: for example, the force of the passive vehicle, or the roll on a road whose left and right
+                # sides are equal.
                 continue
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])
@@ -117,7 +118,7 @@ def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed:
     def magnitudes(omega: Array) -> Array:
         if vehicle.implementation.undelayed:
             response = continuous_frequency_response(vehicle, controller, omega)
-        else:  # if the loop has a sample period or a delay, the line shows the sampled loop
+        else:  # for a loop with a sample period or a delay, the line shows the sampled loop
             response = sampled_frequency_response(vehicle, controller, omega, timestep)
         return np.abs(response @ as_met(vehicle, omega, speed)[..., None])[..., 0]
 

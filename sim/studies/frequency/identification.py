@@ -69,7 +69,7 @@ def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
     If a force is held over several steps, the result contains the signals after the jumps and the signals before the jumps.
     """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
-    several = steps_per_sample(vehicle.implementation, period) > 1  # z is continuous in the steps between jumps
+    several = steps_per_sample(vehicle.implementation, period) > 1  # between its jumps, z is a continuous function of the steps
     return [signals, _before_leaps(vehicle, response, signals, periodic)] if several else [signals]
 
 

@@ -23,7 +23,7 @@ from sim.studies.frequency.sweep import GAIN, Sweep, failures
 from sim.studies.frequency.worst_case_gain import MeasuredInvariant
 from synth.controller.report import NORM, judged_lines
 
-HZ = 1 / (2 * math.pi)  # from rad/s
+HZ = 1 / (2 * math.pi)  # hertz per rad/s
 HEIGHT = Field[float]("height", lambda one: one, "g", 1e3, unit="mm")
 SHARE = Field[float]("share of energy", lambda one: one, percent)
 PEAK = Field[DescribingFunction]("largest gain", lambda one: np.nanmax(one.gains), ".5g")

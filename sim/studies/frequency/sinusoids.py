@@ -1,9 +1,10 @@
 """Runs over periodic roads: how long they last, and how the whole periods at the end are evaluated.
 
-A *line* is one of the frequencies of the road. A run starts from equilibrium, so it first contains free motion, which takes a
-minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only the size is unknown. A
-least-squares fit of the last periods therefore contains a sine and a cosine at each line, and the decaying shapes of the free
-motion. This fit cannot hide a wrong frequency response, because no decaying motion resembles a line over a whole period.
+A *line* is one of the frequencies of the road. A run starts from equilibrium, so the response begins with a transient (free
+motion), which takes a minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only its
+size is unknown. A least-squares fit of the last periods therefore contains a sine and a cosine at each line, and the decaying
+shapes of the free motion. The fit cannot hide a wrong frequency response, because no decaying motion resembles a line over a
+whole period.
 """
 
 import math
@@ -25,21 +26,23 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
-LOWEST, HIGHEST = 0.1, 25.0  # Hz, range of frequencies
+LOWEST, HIGHEST = 0.1, 25.0  # Hz, lowest and highest frequency of the road
 ALIASING_LIMIT = (
-    0.98  # highest line relative to half the controller's sample rate; aliases (images) of higher lines could be near other lines
+    # highest line relative to half the controller's sample rate; aliases (images) of a higher line could be near another line
+    0.98
 )
-# Number of multiples of the sample rate around which images of a line are fitted; images at higher multiples are smaller
+# Images of a line are fitted around this many multiples of the sample rate; images at higher multiples are smaller
 IMAGES = 8
-DEAD = 1e-12  # relative size below which free motion counts as decayed
-# Relative size of free motion that may remain without a fit. The first value applies to fitted lines, the second to signals that
-# are used themselves.
+DEAD = 1e-12  # free motion counts as decayed if its relative size is smaller than this
+# Relative size below which remaining free motion is not fitted. The first value applies if lines are fitted, the second if the
+# signals themselves are used.
 LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6
-# S, longest wait for free motion to decay; slower free motion, for example of integrators, is fitted and subtracted
+# s, longest time to wait until free motion has decayed; slower free motion, such as that of integrators, is fitted and
+# subtracted
 PATIENCE = 10.0
-TOLD_APART = 5.0  # s, duration of the end of a run that suffices to separate slow motion from the lines
-ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in one batch would take gigabytes
-# Smallest number of samples in the whole periods, so that the frequency is within 0.03 % of the requested frequency
+TOLD_APART = 5.0  # s, length of the end of a run from which slow free motion can be told apart from the lines
+ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in a single batch would take gigabytes
+# Smallest number of samples in the whole periods; it keeps the frequency within 0.03 % of the requested one
 FINEST = 2000
 
 
@@ -254,7 +257,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
     """
     if steps_per_sample(vehicle.implementation, timestep) > 1:
         if controller.measured:
-            return np.zeros((samples, 0))  # see `_length`
+            return np.zeros((samples, 0))  # no free motion is fitted, see `_length`
         vehicle = replace(vehicle, implementation=Implementation())
     poles = np.linalg.eigvals(loop_of(vehicle, controller, timestep).closed_loop.A)
     poles = poles[np.abs(poles) > DEAD ** (1 / samples)].astype(complex)

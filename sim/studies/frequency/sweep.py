@@ -23,13 +23,13 @@ from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
-# Allowed differences, in addition to the known error of RK4:
-TOLERANCE = 1e-4  # relative difference of a response due to rotations of the body; roads of 0.1 mm cause only 3e-7
-# Height of a lower road relative to the original road, and smallest height [m]. On a lower road, differences due to rotations are
-# smaller.
+# Differences that are allowed in addition to the known error of RK4:
+TOLERANCE = 1e-4  # relative difference of a response due to body rotations; on roads of 0.1 mm, they cause only 3e-7
+# Height of the lower road relative to the original road, and smallest height [m]. Body rotations cause smaller differences on a
+# lower road.
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6
-ABOVE = 1e-5  # allowed relative amount by which a gain may exceed the norm, due to remaining free motion
-NORM_TOLERANCE = 1e-3  # allowed relative amount by which a gain may be below the norm
+ABOVE = 1e-5  # relative amount by which a gain may exceed the norm, because of remaining free motion
+NORM_TOLERANCE = 1e-3  # relative amount by which a gain may be below the norm
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
 GAIN = Field[float]("L2 gain", lambda one: one, digits)
 
@@ -41,9 +41,11 @@ class Sweep:
     lines: Lines
     extremes: Extremes
     sampled: SampledNorm | None  # exact norm of the implemented loop; None if there is no [implementation], or with preview
-    loads: tuple[MinimumLoad, ...]  # minimum load of each tyre in the EUSAMA test
-    without: str  # text about noise and quantisation of the vehicle file that the runs omit; empty if they omit nothing
-    # Response over a road of 1/10 or 1/100 of the height, measured if nonlinearity may cause a difference
+    loads: tuple[MinimumLoad, ...]  # smallest load of each tyre in the EUSAMA test
+    # text that names the noise and quantisation which the runs omit although the vehicle file has them; empty if the runs omit
+    # nothing
+    without: str
+    # Response over a road with 1/10 or 1/100 of the height; measured if a nonlinearity may have caused the difference
     small: Lines | None = None
 
     @property
@@ -145,7 +147,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 def _failures(one: Sweep, rounds: bool) -> list[str]:
     """Returns a text for each failed claim of a linear law. `rounds` is True for exported code in fixed-point arithmetic."""
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
-    # The effect of rotations decreases with the height of the road, so the response over the lower road determines the result.
+    # The lower the road, the smaller the effect of rotations, so the response over the lower road determines the result.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
         why = "; the timestep is too coarse, give a smaller timestep" if coarse and not rounds else ""

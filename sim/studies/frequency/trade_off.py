@@ -24,9 +24,9 @@ from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
 from synth.vehicle.trade_off.report import describe
 
-SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s, frequencies to try for a norm that is reached at frequency 0
-TURN = 0.005  # rad, largest phase advance of the sinusoid in one timestep
-NEXT = 1e-3  # allowed relative distance between the gain and a norm that is reached at frequency 0
+SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s, frequencies at which a run is tried if the norm is reached at frequency 0
+TURN = 0.005  # rad, largest change of the sinusoid's phase in one timestep
+NEXT = 1e-3  # largest relative distance between the gain and the norm, if the norm is reached at frequency 0
 TITLE = "Trade-off between objectives"
 
 

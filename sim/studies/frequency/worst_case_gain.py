@@ -40,8 +40,9 @@ from sim.studies.frequency.sinusoids import (
 )
 from synth.controller.controller import Controller
 
-DURATION = 20.0  # s, duration of all runs except the run over the worst sinusoid, which depends on the settling time
-# Allowed relative distance between the gain and its peak, and largest number of refinements to reach this distance.
+DURATION = 20.0  # s, duration of all runs except the run over the worst sinusoid, whose duration depends on the settling time
+# Largest relative distance between the gain and its peak, and largest number of refinements with which the gain approaches the
+# peak.
 BESIDE, DOUBLINGS = 3e-4, 6
 
 

@@ -16,12 +16,13 @@ from synth.vehicle.paper import PRINTED_NUMBERS
 
 FOLDER = kind.HERE / "gallery"
 PAPER = "paper"
-CAR = "car.toml"  # default vehicle file of an entry
-PAPER_BUMP = Bump()  # the paper's bump, the default road
-SHORT = 1e-3  # largest relative error of the paper's numbers, because its solver stopped before the optimum
+CAR = "car.toml"  # name of an entry's vehicle file if the entry gives no other
+PAPER_BUMP = Bump()  # bump of the reference paper, which is the default road
+SHORT = 1e-3  # largest relative error of the reference paper's numbers, whose solver stopped before the optimum
 
 
-# Published sources that the gallery considers. Each entry lists its sources, with numbers or with a reason why it has no numbers.
+# Published sources that the gallery considers. Each entry lists its sources; each source has numbers, or a reason why it has
+# none.
 SOURCES = (
     "MathWorks, H-infinity",
     "MathWorks, robust",

@@ -27,8 +27,8 @@ OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types 
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
-ON_AXIS = 1e-12  # if the real or imaginary part of a pole is smaller than this share of the pole's magnitude, it counts as 0
-REAL = 1e-6  # a zero counts as imaginary if its real part is smaller than this share of its magnitude
+ON_AXIS = 1e-12  # the real or imaginary part of a pole counts as 0 if it is smaller than this share of the pole's magnitude
+REAL = 1e-6  # a zero of a transfer function counts as imaginary if its real part is smaller than this share of its magnitude
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
             f"at = {list(one.at)} does not name a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
         )
     k, part = one.at
-    # Rounded, so that rounding errors do not determine the order of undamped poles
+    # The values are rounded, so that rounding errors do not determine the order of undamped poles
     level = np.round(poles.real / np.abs(poles).max(), 9)
     pole = poles[np.lexsort((np.abs(poles), level))][k]
     value = float(pole.imag if part else pole.real)
@@ -230,7 +230,7 @@ def _paper(designer: Designer, one: PrintedNumber) -> float:
     return float(value[one.at] if isinstance(value, np.ndarray) else value)
 
 
-# Functions that compute each type of number by linear analysis, in SI units.
+# For each type of number, the function that computes it by linear analysis, in SI units.
 KINDS: dict[str, Callable[[Designer, PrintedNumber], float]] = {
     "norm": lambda designer, one: designer.design(one.controller).certificate.norm.value,
     "gain": lambda designer, one: float(designer.design(one.controller).law.D[one.at]),

@@ -14,7 +14,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.allowed_result import AllowedResult
 from sim.studies.identification.identification import Identification, changed
 
-LEVEL = 0.95  # probability that the ellipsoid contains the true parameters
+LEVEL = 0.95  # probability with which the ellipsoid contains the true parameters
 
 
 def allowed_vehicles(of: Identification) -> list[Vehicle]:

@@ -15,7 +15,8 @@ from models.common.units import unit_size
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.log_map import LOGGED, UNKNOWN
 
-# Words that headings use for a quantity, then words for a place. All other words are ignored.
+# For each quantity, words that column headings use for it, then words for a place on the vehicle. All other words of a heading
+# are ignored.
 ACCELERATION = frozenset(["acc", "accel", "acceleration", "accelerometer", "accz", "az", "zacc"])
 BODY, HUB = (
     frozenset(["body", "sprung", "chassis", "mass", "seat", "frame"]),
@@ -26,7 +27,7 @@ VELOCITY = frozenset(["vel", "velocity", "speed"])
 TYRE = frozenset(["tyre", "tire"])
 ROAD = frozenset(["road", "post", "platform", "table", "shaker", "actuator", "ground", "profile", "plate", "pad"])
 FORCE = frozenset(["force", "load", "loadcell"])
-# A word of each of the first two sets, no word of the third
+# A heading matches if it has a word of each of the first two sets, and no word of the third
 WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {
     "unsprung_acceleration": (ACCELERATION, HUB, frozenset()),
     "sprung_acceleration": (ACCELERATION, frozenset(), HUB),
@@ -37,8 +38,9 @@ WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {
     "control_force": (FORCE, frozenset(), HUB),
 }
 ENDS = frozenset(["front", "rear", "left", "right"])
-GUESSES = ("mm", "cm", "g", "deg", "rad")  # words of a heading that are read as units
-NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}  # SI unit: unit that logs often use instead
+GUESSES = ("mm", "cm", "g", "deg", "rad")  # words in a column heading that are read as units
+# for each SI unit, the unit that logs often use instead
+NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}
 
 
 @dataclass(frozen=True)

@@ -34,15 +34,17 @@ FACTORS: Mapping[float, str] = {
     39.37007874015748: "in inches",
     100.0: "in hundredths of its unit, such as cm",
 }
-NEAR = 0.2  # relative distance from one of these factors below which a factor is named
-ALIKE = 0.8  # correlation above which a column is taken to be the signal, apart from a factor
-EXPLAINED = 0.03  # share of the residuals' squares above which a cause is reported
-SURE = 5.0  # size of a cause, in standard deviations, above which it is reported
-LAGS = 25  # largest delay that is searched for, in samples
+NEAR = 0.2  # one of the `FACTORS` is named if the relative distance from it is smaller than this
+ALIKE = 0.8  # correlation above which a column counts as the signal multiplied by a factor
+EXPLAINED = 0.03  # a cause is reported if it explains a larger share of the residuals' squares
+SURE = 5.0  # a cause is reported if its size is more than this many standard deviations
+LAGS = 25  # largest delay to try, in samples
 MOST_CAUSES = 3
-LEFT = 0.01  # smallest share of a cause that the unknowns cannot also produce; below it, the size of the cause is unknown
-MOST_SAMPLES = 50_000  # largest number of samples of an experiment that is searched for causes
-SHARP = 0.9  # magnitude above which a pole of the residuals' model is a resonance
+# smallest share of a cause's effect that the unknowns cannot also produce; if the share is smaller, the size of the cause is
+# unknown
+LEFT = 0.01
+MOST_SAMPLES = 50_000  # largest number of samples of an experiment that are used to search for causes
+SHARP = 0.9  # a pole of the residuals' model with a larger magnitude is a resonance
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Cause:
     deviations: float
 
 
-SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which friction builds up, relative to the largest travel
+SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which friction builds up, as shares of the largest travel
 
 
 def check_columns(problem: IdentificationProblem) -> list[str]:
@@ -213,7 +215,7 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
     """Returns the signals caused by 1 N of friction in a suspension, shape (T, q), for each displacement of `SETS_IN`."""
     prediction = of.problem.predictions[i]
     one, vehicle = prediction.experiment, prediction.vehicle(of.values)
-    if one.part:  # a part on a dyno contains its own friction
+    if one.part:  # if the experiment tests a part on a dyno, its friction is already in the part
         return [np.zeros_like(of.predicted[i]) for _ in SETS_IN]
     model, deflection = vehicle.linear_model, vehicle.kind.deflection_of(force)
     travel = prediction.signals([deflection], of.values, of.residuals.start(of.x, i))[:, 0]
@@ -225,7 +227,7 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
     whole = linalg.expm(M * one.step)
     each = list[Array]()
     for pull in dahl_friction(travel, max(float(np.abs(travel).max()), 1e-12) * np.array(SETS_IN)).T:
-        # A friction force pulls the ends of the suspension together while they move apart.
+        # While the ends of the suspension move apart, a friction force pulls them together.
         x = recursion(whole[:n, :n], np.outer(-pull, whole[:n, n]))
         each.append(x @ C.T + np.outer(-pull, Dv[:, column]))
     return each
@@ -240,7 +242,8 @@ def dahl_friction(travel: Array, lengths: Array) -> Array:
     """
     sign = np.sign(np.diff(travel))
     pull, first = np.zeros((len(travel), len(lengths))), 0
-    for last in (*(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)):  # exact between reversals of the motion
+    # the solution is exact between two reversals of the motion
+    for last in (*(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)):
         moved = np.abs(travel[first + 1 : last + 1, None] - travel[first])
         pull[first + 1 : last + 1] = sign[first] + (pull[first] - sign[first]) * np.exp(-moved / lengths)
         first = last

@@ -32,22 +32,25 @@ from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
-NORMAL = 1.959963984540054  # half-width of a 95 % interval in standard deviations
-CHI2 = NORMAL**2  # rise of -2 log likelihood at the ends of a 95 % interval
-SINGULAR = 1e-7  # relative singular value below which a direction is taken to change no signal; matrices are accurate to 1e-10
-WIDE = 1.0  # standard deviation of a logarithm above which a parameter counts as not determined: a factor of 7 up or down
-SETTLED = 1e-4  # relative change below which the noise rms has converged
-ROUNDS = 30  # largest number of alternations between noise and parameters
-SPREAD = 1.2  # range of the logarithms of further starting points: a factor of 3 up or down
+NORMAL = 1.959963984540054  # half the width of a 95 % confidence interval, in standard deviations
+CHI2 = NORMAL**2  # amount by which -2 log likelihood is larger at the ends of a 95 % confidence interval
+SINGULAR = 1e-7  # smallest relative singular value of a direction that changes a signal; matrices are accurate to 1e-10
+# a parameter counts as not determined if the standard deviation of its logarithm is larger: a factor of 7 up or down
+WIDE = 1.0
+SETTLED = 1e-4  # the noise rms has converged if its relative change is smaller than this
+ROUNDS = 30  # largest number of times that noise and parameters are estimated in turn
+SPREAD = 1.2  # half the range of logarithms from which further starting points are taken: a factor of 3 up or down
 STARTS = 6
-FAR = 100.0  # largest excess of a starting point's deviance over that of a known solution; beyond it, no search is run
-FURTHEST = 9.0  # largest change of a parameter's logarithm: a factor of 8000
+FAR = 100.0  # a search is skipped if the deviance at its starting point exceeds that of a known solution by more than this
+FURTHEST = 9.0  # largest change of the logarithm of a parameter: a factor of 8000
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
-BLOCK = 50_000  # largest number of samples whose derivatives are in memory at the same time
-MOST, FEW = 60, 10  # evaluations of the first search, and of a search from a further starting point or near a solution
-WARM = 4  # rounds of a search that starts near a solution
-NOISELESS = 1e-3  # rms of the residuals relative to the signal's rms, below which the residuals contain no noise to test
-POOR = 0.5  # other starting points are tried if the fit explains a smaller share of a signal's mean square
+BLOCK = 50_000  # largest number of samples whose derivatives are kept in memory at the same time
+# largest number of evaluations in the first search, and in a search from a further starting point or near a solution
+MOST, FEW = 60, 10
+WARM = 4  # number of rounds in a search that starts near a solution
+# if the rms of the residuals is a smaller share of the signal's rms, the residuals contain no noise that could be tested
+NOISELESS = 1e-3
+POOR = 0.5  # if the fit explains a smaller share of a signal's mean square, other starting points are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +114,7 @@ class IdentificationProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
-    """Indices of all unknowns in one vector: logarithms of parameters, delays, then start and offsets of each experiment."""
+    """Indices of all unknowns in one vector: logarithms of parameters, delays, initial states and offsets."""
 
     free: tuple[str, ...]
     delayed: tuple[str, ...]
@@ -382,7 +385,8 @@ class Estimate:
             return {}
         N = np.array([[one.powers.get(name, 0.0) for one in self.directions] for name in (*self.free, *self.held)])
         own, held = N[: len(self.free)], N[len(self.free) :]
-        # own = shares @ held, so log(own parameters) - shares @ log(held parameters) is the same for any held values
+        # A vehicle's own parameters are shares @ held, so log(own parameters) - shares @ log(held parameters) is the same for
+        # any held values
         shares = np.linalg.solve(held.T, own.T).T
         return {
             name: {name: 1.0, **{other: -_tidy(share) for other, share in zip(self.held, row, strict=True) if _tidy(share)}}
@@ -439,7 +443,7 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     if _poor(some, best[0]):
         rng = np.random.default_rng(seed)
         for _ in range(STARTS):
-            with suppress(InputError, np.linalg.LinAlgError):  # a vehicle that cannot be
+            with suppress(InputError, np.linalg.LinAlgError):  # parameters that no vehicle can have are skipped
                 x = _least_squares(some, _first(some, rng.uniform(-SPREAD, SPREAD, len(left))), best[1], FEW)
                 if _deviance(some, x, some.noise(x)) < best[2] - CHI2:
                     best = min(best, _solve(some, x), key=lambda one: one[2])
@@ -524,7 +528,7 @@ def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: i
         elif name in of.problem.lowest:
             least[i] = of.coordinate(name, of.problem.lowest[name])
     bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
-    inside = np.maximum(x, least + 1e-3)  # a search that starts on a bound stalls
+    inside = np.maximum(x, least + 1e-3)  # the search does not start on a bound, because it would not move from there
     by_unknown: Any = jacobian
     return least_squares(
         lambda x, noise: of.reduced(x, noise)[1], inside, by_unknown, args=(noise,), max_nfev=most, **bounds, **TOLERANCES
@@ -572,7 +576,8 @@ def _information(R: Array, p: int) -> tuple[Array, Array]:
 def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
     """Returns the parameters to hold, the parameters that affect no signal, and the directions along which no signal changes."""
     free, p = of.unknowns.free, len(of.unknowns.free)
-    # At the initial values, the derivatives by a parameter's logarithm and by its unknown are equal, even if it may be zero.
+    # At the initial values, the derivatives with respect to the logarithm of a parameter and to its unknown are equal, even if
+    # the parameter may be zero.
     R, _ = _information(of.reduced(x, of.scale)[0], p)
     sizes = np.linalg.norm(R, axis=0)
     silent = tuple(name for name, size in zip(free, sizes, strict=True) if size <= SINGULAR * sizes.max(initial=0.0))
@@ -580,7 +585,7 @@ def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ..
     if not felt:
         return (), silent, ()
     _, s, V = np.linalg.svd(R[:, felt] / sizes[felt])
-    # Columns are scaled to length 1 to find the rank. The directions are then converted back to logarithms.
+    # To find the rank, the columns are scaled to length 1. The directions found are then converted back to logarithms.
     null = (V[s <= SINGULAR * s[0]] / sizes[felt]).T
     if not null.size:
         return (), silent, ()
@@ -661,14 +666,14 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
     levels = {0.0: -rise}
     size = own.sizes(of.values)[name]
-    deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # of the unknown
+    deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # standard deviation of the unknown
     from_zero, best = name in of.problem.from_zero, own.coordinate(name, of.values[name])
 
     def excess(shift: float) -> float:
         if shift in levels:
             return levels[shift]
         value = own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift))
-        # The initial values stay unchanged, because the unknowns of the other parameters are relative to them.
+        # The initial values are not replaced, because the unknowns of the other parameters are relative to them.
         fixed = _Residuals(replace(of.problem, first={**own.fixed, name: value}), others, {})
         solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))], WARM, FEW)
         warm[shift] = solution[0]

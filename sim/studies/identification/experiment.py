@@ -12,9 +12,9 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import VehicleKind
 
-# Part on a dyno: extension from equilibrium, and force, positive if it pulls the ends together
+# Signals of a part on a dyno: its extension from equilibrium, and its force, which is positive if it pulls the ends together
 EXTENSION, FORCE = "part_extension", "part_force"
-OF_PARTS: Mapping[str, str] = {EXTENSION: "m", FORCE: "N"}  # units
+OF_PARTS: Mapping[str, str] = {EXTENSION: "m", FORCE: "N"}  # units of these signals
 
 
 def signal_units(kind: VehicleKind) -> dict[str, str]:

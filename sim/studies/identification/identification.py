@@ -33,13 +33,14 @@ from sim.studies.identification.reading import LEAST, LogStretches, read_experim
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
 
-LOWEST = 1e-6  # if the allowed range of a number begins above this, the search respects its lower end
-UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # units of the parameters that are free by default
-SMALL_START = 0.02  # initial value, relative to critical damping, of a damping that is 0 in the file
-SKEWED = 0.2  # standard deviation of a logarithm above which the interval is computed from the profile likelihood
-AFTER = 0.5  # s after a landing in which samples are not used, because the tyre is not linear there
-NAMED = 0.5  # share of the residuals' squares above which the reported causes suffice, and resonances are not searched for
-ANOTHER = 0.1  # difference of a logarithm above which two solutions are different
+LOWEST = 1e-6  # if a number's smallest allowed value is larger than this, the search keeps the number above it
+UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # units of the parameters that are estimated by default
+SMALL_START = 0.02  # initial value of a damping that is 0 in the file, relative to critical damping
+# if the standard deviation of a logarithm is larger, the confidence interval is computed from the profile likelihood
+SKEWED = 0.2
+AFTER = 0.5  # s; samples within this time after a landing are not used, because the tyre is not linear there
+NAMED = 0.5  # if the reported causes explain a larger share of the residuals' squares, resonances are not searched for
+ANOTHER = 0.1  # two solutions count as different if a logarithm differs by more
 
 
 @dataclass(frozen=True, eq=False)

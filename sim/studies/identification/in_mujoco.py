@@ -7,8 +7,8 @@ import numpy as np
 from models.roads.rig import Rig
 from sim.studies.identification.estimate import Estimate
 
-TIMESTEP = 1e-3  # s, largest timestep of the simulation
-MOST = 60.0  # s, longest part of an experiment that is simulated
+TIMESTEP = 1e-3  # s, largest timestep in MuJoCo
+MOST = 60.0  # s, longest part of an experiment that is simulated in MuJoCo
 
 
 def difference_in_mujoco(of: Estimate) -> dict[str, float]:

@@ -22,12 +22,13 @@ from models.parts.part import STEP, Part
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 
-RELATIVE = 1e-6  # relative step of finite differences; only upwards, because a number may be at its smallest allowed value
-FINE, FINEST = 4, 64  # steps between samples
-RATE = 0.5  # largest rate of the part's states times the fine step, at the largest speed
-TURNS = 40  # of Newton's method
-SETTLED = 1e-10  # relative change of z at which Newton's method ends
-FAR = 1e12  # N, force that replaces the force of a part whose states diverge, so that the search turns back
+# relative step of finite differences; the step is always upwards, because a number may be at its smallest allowed value
+RELATIVE = 1e-6
+FINE, FINEST = 4, 64  # smallest and largest number of integration steps between two samples
+RATE = 0.5  # largest product of the fine step and the rate of the part's states, at the largest speed
+TURNS = 40  # largest number of iterations of Newton's method
+SETTLED = 1e-10  # Newton's method ends if the relative change of the states z is smaller than this
+FAR = 1e12  # N, force that is used for a part whose states diverge, so that the search turns back
 
 
 class PartPrediction(LogPrediction):
@@ -52,7 +53,7 @@ class PartPrediction(LogPrediction):
 
         one = self.experiment
         travel, time = CubicSpline(one.time, one.road[:, 0]), one.time
-        # `fastest` is the rate at 2 m/s
+        # `fastest` is the fastest rate of the part at a velocity of 2 m/s
         fastest = self.part(self.vehicle({})).fastest * float(np.abs(travel(time, 1)).max()) / 2.0
         fine = min(max(math.ceil(fastest * one.step / RATE), FINE), FINEST)
         at = one.start + one.step / fine * np.arange((len(time) - 1) * fine + 1)
@@ -108,7 +109,7 @@ class PartPrediction(LogPrediction):
             J = np.stack([np.imag(part.rate(d, v, z + STEP * 1j * one)) / STEP for one in np.eye(n)], axis=-1)
             bands[:] = 0.0
             for i in range(n):
-                for j in range(n):  # derivatives of equation (k, i) by unknown (k, j), and by unknown (k - 1, j)
+                for j in range(n):  # derivatives of equation (k, i) with respect to the unknowns (k, j) and (k - 1, j)
                     bands[n - 1 + i - j, j::n] = (i == j) - half * J[:, i, j] * (np.arange(len(d)) > 0)
                     bands[2 * n - 1 + i - j, j : -n or None : n] = -(i == j) - half * J[:-1, i, j]
             error = np.vstack([z[:1] - z0, np.diff(z, axis=0) - self._mean(part.rate(d, v, z))])

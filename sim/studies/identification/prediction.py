@@ -29,7 +29,7 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Channel, Experiment
 
-DIFFERENCE = 1e-5  # relative step of finite differences of matrices; the error is the square of the step
+DIFFERENCE = 1e-5  # relative step of finite differences of matrices; the relative error is about the square of the step
 STEPPED_DIFFERENCE = 1e-4  # relative step of finite differences of responses
 HUB, TYRE = "unsprung_velocity", "tyre_deflection"
 
@@ -92,7 +92,7 @@ class LogPrediction:
         wheels = self.experiment.road.shape[1]
         if self.experiment.forces_held:
             rates[:, wheels:] = 0.0
-        if self.experiment.hubs:  # an acceleration is smooth, so each straight line gets the mean value of a cubic
+        if self.experiment.hubs:  # accelerations are smooth, so each piece of the straight lines gets the mean value of a cubic
             whole = padded(held[:, :wheels])
             held[:, :wheels] += (whole[1:-2] + whole[2:-1] - whole[:-3] - whole[3:]) / 24
         if self.experiment.road_held:
@@ -146,7 +146,7 @@ class LogPrediction:
             by_parameter[i] = self._read(one.rows, x, inputs, delays) + self._read(step.rows, dx, None, delays)
         if start is not None:
             by_start = np.zeros((n, *value.shape))
-            for i in range(n):  # the response to a starting state without input
+            for i in range(n):  # computes the response to each initial state without input
                 free_motion = recursion(step.Phi, np.zeros_like(x), np.eye(n)[i])
                 by_start[i] = self._read(step.rows, free_motion, None, delays)
         return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, inputs, delays))
@@ -183,7 +183,8 @@ class LogPrediction:
         whole, direct = linalg.expm(M * h), np.hstack([C, Dv, Dd])
         rows, rates = np.empty_like(direct), np.empty_like(direct)
         for i, delay in enumerate(delays):
-            within = math.ceil(delay / h - 1e-9) * h - delay  # time since the last sample before it
+            # time from the last sample before the delayed time to the delayed time
+            within = math.ceil(delay / h - 1e-9) * h - delay
             at = linalg.expm(M * within) if within > 1e-9 * h else np.eye(len(M))
             rows[i] = direct[i] @ at
             rates[i] = direct[i] @ M @ at
@@ -275,7 +276,7 @@ def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, A
     r, m = len(model.disturbances), len(model.inputs)
     Bv, Bd = np.hstack([model.Br, model.B]), np.hstack([model.Bw, np.zeros((len(model.A), m))])
     C, Dv, Dd = model.C[rows], np.hstack([model.Cr, model.D])[rows], np.hstack([model.Dw, np.zeros((len(model.C), m))])[rows]
-    if experiment.road_held:  # the road jumps; the states are therefore x - Bd v, which do not jump
+    if experiment.road_held:  # if the road height jumps, the states are replaced by x - Bd v, which do not jump
         return model.A, Bv + model.A @ Bd, np.zeros_like(Bd), C, Dv + C @ Bd, Dd
     if not experiment.hubs:
         return model.A, Bv, Bd, C, Dv, Dd

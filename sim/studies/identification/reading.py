@@ -17,14 +17,15 @@ from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Exp
 from sim.studies.identification.log_map import FLAT, HELD, LOGGED, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
 from sim.studies.identification.part_prediction import part_of
 
-GAP = 5  # number of missing steps above which a new stretch with its own starting state begins
-LEAST = 50  # samples of a stretch
-FROZEN = 12  # number of equal consecutive values that counts as a failure of a sensor whose values otherwise change
-CLIPPED = 3  # number of consecutive samples at a signal's largest or smallest value that counts as clipping
-JITTER = 0.02  # share of a step; if times deviate by more, they are not equidistant
-COARSE = 0.5  # smallest share of the road's motion that must be below half the Nyquist frequency
-MOST_PHASE = 1.0  # rad, largest phase error from wrong times, at the typical frequency of the road
-DEEP = 1.0  # m; a larger motion cannot be right
+GAP = 5  # if more steps than this are missing, a new stretch of the log begins, with its own initial state
+LEAST = 50  # smallest number of samples in a stretch of the log
+# if this many consecutive values are equal although the sensor's values otherwise change, the sensor counts as failed
+FROZEN = 12
+CLIPPED = 3  # if this many consecutive samples equal a signal's largest or smallest value, the signal counts as clipped
+JITTER = 0.02  # if times deviate from a constant spacing by a larger share of a step, they are not equidistant
+COARSE = 0.5  # smallest share of the road's motion that must have frequencies below half the Nyquist frequency
+MOST_PHASE = 1.0  # rad, largest phase error that wrong times may cause at the typical frequency of the road
+DEEP = 1.0  # m; a larger motion in a log cannot be right
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,8 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         log = replace(log, signals={name: sensors[name].sign * values for name, values in log.signals.items()})
     else:
         sensors = {name: replace(sensors.get(name, SensorSection()), offset=0.0) for name in log.signals}
-        keys = replace(keys, forces=HELD, heights=HELD)  # the controller holds forces over a step, and MuJoCo holds road heights
+        # over a step, the controller holds its forces, and MuJoCo holds the road heights
+        keys = replace(keys, forces=HELD, heights=HELD)
     with error_in(f"log {path}:"):
         return _stretches(log, vehicle, keys, sensors)
 
@@ -172,7 +174,7 @@ def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
     diffs = np.diff(time)
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
-    # The step is the slope of a straight line through all times, because the differences of rounded times vary.
+    # The time step is the slope of a straight line through all times, because rounded times have uneven differences.
     step = usual
     for _ in range(3):
         step = float(np.polyfit(places, time - time[0], 1)[0])

@@ -29,7 +29,7 @@ SCALE = (
     "a known payload, or a measured force"
 )
 SHARE = Field[float]("deviation", float, ".2g", 100, unit="%")
-MOST_POINTS = 2000  # of a curve
+MOST_POINTS = 2000  # largest number of points of a drawn curve
 SECTION = "identified"
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from models.common.arrays import Array
 
-LAGS = 25  # of the tests
-LEAST = 0.001  # probability below which residuals are not white
+LAGS = 25  # number of lags that the tests of whiteness use
+LEAST = 0.001  # residuals do not count as white if the probability is smaller than this
 MOST_ORDER = 40  # largest order of the autoregressive model
 
 
@@ -75,7 +75,8 @@ class Autoregressive:
         """Returns J'RJ for columns J, shape (T, p), with the autocovariance R of the residuals."""
         from scipy.signal import lfilter
 
-        # R = s^2 (A'A)^-1. So J'RJ is s^2 M'M, where M contains the columns of J after the filter 1/A, run backwards in time.
+        # The autocovariance of the residuals is R = s^2 (A'A)^-1. So J'RJ is s^2 M'M, where M contains the columns of J after the
+        # filter 1/A, run backwards in time.
         behind = np.asarray(lfilter([1.0], self.coefficients, columns[::-1], axis=0)) * self.deviation
         return behind.T @ behind
 
@@ -85,7 +86,7 @@ def autoregressive(values: Array) -> Autoregressive:
     n = int(np.isfinite(values).sum())
     most = max(0, min(MOST_ORDER, n // 10))
     covariance, _ = covariances(values, most)
-    # The Levinson-Durbin recursion computes one order after another.
+    # The Levinson-Durbin recursion computes the model of each order from the previous one.
     a, error = np.ones(1), float(covariance[0])
     best, least = (a, error), n * np.log(max(error, 1e-300))
     for order in range(1, most + 1):

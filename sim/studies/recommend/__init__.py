@@ -2,4 +2,5 @@
 
 from collections.abc import Mapping
 
-GOALS: Mapping[str, str] = {"ride": "ride", "holding": "dynamic_load", "travel": "peak_travel"}  # and their columns
+# goals of a recommendation, each with its column of the results
+GOALS: Mapping[str, str] = {"ride": "ride", "holding": "dynamic_load", "travel": "peak_travel"}

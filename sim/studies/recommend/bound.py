@@ -33,9 +33,9 @@ from sim.studies.recommend.task import Task
 from synth.plant.generalized import Plant
 from synth.plant.loop import HoldInterval
 
-# Power of e of tiny weights that keep the problem regular; smallest noise relative to a signal's rms
+# Exponent of e for tiny weights that keep the problem regular, and smallest noise relative to a signal's rms
 NEARLY_NONE, LEAST_NOISE = -9.0, 1e-6
-# Powers of e of the force weight; relative change of the bound at which the search ends
+# Exponents of e for the force weights to try, and relative change of the bound at which the search ends
 FORCES, ENOUGH = np.arange(-3.0, -15.0, -1.5), 5e-3
 
 
@@ -52,7 +52,7 @@ def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]
     """
     (n, m), late = plant.B.shape, max(part.delay_samples for part in hold)
     size, period = n + late * m, sum(part.duration for part in hold)
-    # These rows select entries of the vector [x; forces of the last samples; new force].
+    # Each of these rows selects one entry of the vector that contains x, the forces of the last samples, and the new force.
     x, *previous = np.split(np.eye(size + m), [n + i * m for i in range(late + 1)])
     forces, cost, W, within = [previous.pop(), *previous], np.zeros((size + m, size + m)), np.zeros((n, n)), 0.0
     F, none = np.block([[plant.A, plant.B], [np.zeros((m, n + m))]]), np.zeros((n + m, n + m))

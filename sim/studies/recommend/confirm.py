@@ -23,9 +23,9 @@ from sim.studies.ride.scores import score_of, score_over_runs
 from synth.controller.controller import is_linear
 
 SEEDS = (0, 1, 2, 3, 4, 5)  # seeds of the random roads on which candidates are compared
-LONGEST = 5.0  # s, longest transient before the measurement
-SETTLED, MOST_TIME = 3.0, 60.0  # s, run time after an obstacle; longest run time over a road from a file
-AT_ONCE = 48  # runs in a batch
+LONGEST = 5.0  # s, longest transient that is awaited before the measurement
+SETTLED, MOST_TIME = 3.0, 60.0  # s, time that a run continues after an obstacle, and longest run over a road from a file
+AT_ONCE = 48  # number of runs in a batch
 BROKEN = Usage(math.inf, math.inf, 1.0, 0.0, 1.0)
 
 
@@ -37,7 +37,7 @@ class Peaks:
         self._first, self._seen, self._ends, every = first, 0, Ends(batch), [one.name for one in batch.vehicles[0].kind.signals]
         self._meter = Meter(batch.vehicles, batch.timestep, first, speeds=[speed] * len(batch.vehicles))
         self._rows = [every.index(name) for name in names]
-        # Largest values of minus the signals, and of the signals
+        # Largest values of the negated signals (first row), and of the signals (second row)
         self._high = np.full((2, len(names), len(batch.vehicles)), -np.inf)
 
     def take(self, block: Block) -> None:

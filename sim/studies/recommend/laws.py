@@ -25,13 +25,13 @@ from models.laws.semi_active import LAWS, MODES, SemiActive, SemiActiveLaw
 from sim.studies.recommend.optimal import uncertified
 from sim.studies.recommend.task import Contender, Task
 
-EXACT = 1e-6  # relative error below which a sensor counts as a combination of the body's accelerations
+EXACT = 1e-6  # largest relative error with which a sensor counts as a combination of the body's accelerations
 BODY = ("sprung_velocity", *MODES)
-# Typical c [1/s], m_v [1], c_d [1/s] and k [1/s2], each divided by the mass
+# Typical parameters of the laws, each divided by the mass: c [1/s], m_v [1], c_d [1/s] and k [1/s2]
 RATE, MASS, SIDE_DAMPING, STIFFNESS = 10.0, 0.1, 1.0, 25.0
 FASTEST = 200.0  # rad/s, corner frequency of the filtered derivative of the travel
-DAMPER, SPRING = (0.5, 2.0), (0.7, 1.5)  # ranges of the factors on the passive damper and spring
-# Tried values: sky damping / c_max; mix [1]; crossover [rad/s]
+DAMPER, SPRING = (0.5, 2.0), (0.7, 1.5)  # ranges of the factors that multiply the passive damper and spring
+# Values to try: skyhook damping relative to c_max, mix of skyhook and groundhook [1], and crossover frequency [rad/s]
 SKY, MIX, CROSSOVER = (0.15, 0.3, 0.6, 1.0, 1.5), (0.5, 0.75, 0.9), (8.0, 12.0, 20.0)
 
 
@@ -91,7 +91,8 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], tra
     if travel:
         there = [i for i, deflection in enumerate(sensors.travels) if deflection]
         at, k, c_d, spring = np.eye(len(masses))[:, there], len(there), SIDE_DAMPING * x[3], STIFFNESS * x[4]
-        # The filtered derivative is FASTEST (d - FASTEST eta), where eta' = d - FASTEST eta.
+        # The filtered derivative of the travel d is FASTEST (d - FASTEST eta), where the filter state eta has the rate d -
+        # FASTEST eta.
         A = np.block([[A, np.zeros((p, k))], [np.zeros((k, p)), -FASTEST * np.eye(k)]])
         B = np.block([[B, np.zeros((p, k))], [np.zeros((k, q + p)), np.eye(k)]])
         C = np.hstack([C, c_d * FASTEST**2 * masses[:, None] * at])

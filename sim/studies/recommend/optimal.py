@@ -44,15 +44,17 @@ USUAL: Mapping[str, float] = {
     "force": -1.0,
     "load": -2.0,
     "noise": 0.0,
-}  # powers of e
-FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # weight that is 1 for the goal, and is not searched
+}  # exponents of the usual weights, which are powers of e
+# for each goal, the weight that is fixed at 1 and not searched for
+FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}
 Weights = Mapping[str, float]
-# The H-infinity design adds noise and cost to the plant, as a share of the plant's own terms, so that its Riccati equations have
-# a solution. A larger share leads to larger stability margins.
-SHARE, SHARES = "share", (-1.0, 2.0)  # name of the variable s; the share is 10^(-1 - 2 s)
-# Steps of the search for the smallest level; ratio at which it ends; level of the law relative to the smallest
+# The H-infinity design adds noise and cost to the plant, as a share of the plant's own terms; without them, its Riccati
+# equations may have no solution. A larger share leads to larger stability margins.
+SHARE, SHARES = "share", (-1.0, 2.0)  # name of the variable s that determines the share, which is 10^(-1 - 2 s), and range of s
+# Number of steps in the search for the smallest H-infinity level, ratio of levels at which the search ends, and level of the
+# law relative to the smallest level
 LEVELS, CLOSE, ABOVE = 24, 1.2, 1.1
-NORMS = 200  # largest number of norms computed by the search for a law with fewer states
+NORMS = 200  # largest number of norms that the search for a law with fewer states computes
 
 
 def searched(task: Task) -> list[str]:
@@ -73,7 +75,9 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
         name: (one, "force") for name, one in task.forces.items()
     }
     performance = {name: factors.get(what, 1.0) * 3 * comfort / size for name, (size, what) in sizes.items()}
-    if points:  # orthogonal combinations with the same sum of squares, so that each mode of the body is filtered only once
+    # orthogonal combinations of the points' accelerations have the same sum of squares, so that each mode of the body is
+    # filtered only once
+    if points:
         turned, shares, _ = np.linalg.svd(np.hstack(line.linear_model.rows(points)), full_matrices=False)
         rows = turned.T[shares > 1e-9 * shares[0]].tolist()
         terms = [dict(zip(points, row, strict=True)) for row in rows]
@@ -97,7 +101,7 @@ def design(
     """
     car = weighted_vehicle(task, weights)
     bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
-    if preview:  # preview requires that all states are measured, but no sensor measures the states of a filter
+    if preview:  # preview needs measurements of all states, but no sensor measures the states of a filter
         car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
         request = DesignRequest(design=method, preview=preview)
         entry = ControllerEntry(name, tuple(measured), request, hardware=DesignConditions(bandwidth=bandwidth))

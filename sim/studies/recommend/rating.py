@@ -21,11 +21,11 @@ from synth.controller.stability_margins import bilinear
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-# Step of the searched gain factors in powers of e; number of bisections; search range as a power of the limit
+# Step between the gain factors to try, in powers of e; number of bisections; and end of the range, as a power of the limit
 GRID, HALVINGS, BEYOND = 0.144, 6, 1.1
 NEARLY = 1e-6
-SWEEP = (0.3, 3e3, 200)  # lowest and highest frequency [rad/s], and number of frequencies
-EXCESS = 4.0  # penalty for a limit that is exceeded by a factor e, relative to the passive value of the goal
+SWEEP = (0.3, 3e3, 200)  # lowest and highest frequency of the sweep [rad/s], and number of frequencies
+EXCESS = 4.0  # penalty for exceeding a limit by a factor e, relative to the goal's value for the passive vehicle
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def margins_of(task: Task, controller: Controller, rough: bool = False) -> tuple
         return MOST_GAIN, 2.0
     most = (task.within.gain_margin or 1.0) ** BEYOND if rough else MOST_GAIN
     pairs = [_margins(loop_of(task.line, controller.feedback, task.coarse_step), most, rough)]
-    with suppress(InputError):  # the ideal loop has no solution if measurements contain the force without delay
+    with suppress(InputError):  # without delay, the ideal loop has no solution if the measurements contain the force
         pairs.append(_margins(loop_of(task.line, controller.feedback), most, rough))
     gains, disks = zip(*pairs, strict=True)
     return min(gains), min(disks)
@@ -112,7 +112,8 @@ def _margins(loop: Loop, most: float, rough: bool) -> tuple[float, float]:
             gain = min(gain, low)
     if rough:
         return gain, _disk_by_sweep(cut)
-    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut  # the bilinear transform does not map a pole at z = -1
+    # poles are moved slightly inwards, because the bilinear transform does not map a pole at z = -1
+    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut
     return gain, disk_margin(bilinear(cut) if loop.period else cut).size
 
 

@@ -27,12 +27,14 @@ from sim.studies.recommend.task import SPEED, Contender, Task
 from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
-RESERVE = 0.1  # share of stroke and force that is kept in reserve for random roads that were not simulated
-# Number of repeated searches; used share of a limit below which a search is repeated; safety factor; smallest factor
+RESERVE = 0.1  # share of stroke and force that is kept in reserve for random roads that are not simulated
+# Number of times that a search is repeated, used share of a limit below which it is repeated, safety factor, and smallest
+# factor that corrects the expected use of a limit
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3
-HOPE = 1.1  # an active candidate whose value exceeds the best one by this factor is not searched again
-CALIBRATED = ("stroke", "force", "lift")  # limits whose used share differs between MuJoCo and the expectation
-OF_SEARCH, OF_DRIVES = 0.45, 0.6  # share of the total time at the end of the first searches, and before the first simulations
+HOPE = 1.1  # a search is not repeated for an active candidate whose value exceeds the best one by this factor
+CALIBRATED = ("stroke", "force", "lift")  # limits of which MuJoCo uses another share than linear analysis expects
+# share of the total time after which the first searches end, and after which the first simulations begin
+OF_SEARCH, OF_DRIVES = 0.45, 0.6
 Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
 
 
@@ -166,7 +168,7 @@ class _Work:
         """Simulates the candidates that have not been simulated yet."""
         new = [one for one in self.expected if one not in self.driven]
         ratings = drive_candidates(self.task, new, self._progress)
-        if not self.driven:  # the passive vehicle is the first candidate
+        if not self.driven:  # the first candidate to be simulated is the passive vehicle
             self._lifts = ratings[0].usage.off_ground
         for one, rating in zip(new, ratings, strict=True):
             self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=self._lifts))
@@ -187,7 +189,7 @@ class _Work:
         for name in held:
             least = LEAST ** (TAIL if name == "lift" else 1)
             factor = max(TIGHTER * there[name] / linear[name], least) if linear[name] else 1.0
-            # The peak of a clipped force does not show how much is missing
+            # If a force is clipped, its peak does not show how much force is missing
             factor = max(factor, TIGHTER) if there[name] > 1 else factor
             family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / least)
         self._search(family, again=" again")
@@ -230,6 +232,6 @@ class _Work:
             left["preview"] = f"the sensors do not measure all {len(task.line.linear_model.states)} states"
         if not task.vehicle.dampers:
             left["semi-active laws"] = "the file has no adjustable dampers"
-        # A search with fewer sensors may have found a better value. More sensors can reach this value, too.
+        # A search with fewer sensors may have found a better value, which a law with more sensors can also reach.
         sensors = {some: min(one for other, one in self.sensors.items() if {*other} <= {*some}) for some in self.sensors}
         return Recommendation(task, tuple(rows), sensors, self.bound, left, self.reserve, interrupted)

@@ -19,8 +19,8 @@ from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, TAIL
 from sim.studies.ride.scores import COLUMNS
 
-MOST_ROWS = 14  # largest number of rows, so that the printed answer has at most 24 lines
-NEAR = 0.85  # used share of a limit above which the limit counts as binding
+MOST_ROWS = 14  # largest number of table rows, so that the printed answer has at most 24 lines
+NEAR = 0.85  # a limit counts as binding if a larger share of it is used
 WORDS = {"ride": "ride", "holding": "road holding", "travel": "travel"}
 DECIBELS = Field[float]("margin", lambda factor: 20 * math.log10(factor) if factor < 0.99 * MOST_GAIN else None, ".1f")
 SHARE, CHANGE = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[float]("change", float, "+.0f", 100.0, unit="%")

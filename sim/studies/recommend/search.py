@@ -21,14 +21,16 @@ from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.task import Contender, Task
 from synth.plant.numerics import DesignError
 
-UNSTABLE = 1e3  # value of a point whose loop is not stable
-STEP, RESTART = 1.0, 0.4  # size of the first simplex, and of the simplex of a repeated search
-LARGE_PLANT, FEWER = 7, 0.4  # if the plant has more states, only this share of the evaluations is done
-MOST_ALONE = 3  # up to this number of sensor groups, each group is also tried alone
+UNSTABLE = 1e3  # value that the search assigns to a law whose loop is not stable
+STEP, RESTART = 1.0, 0.4  # size of the first simplex, and of the simplex with which a repeated search starts
+# if the plant has more states than LARGE_PLANT, the search does only the share FEWER of its evaluations
+LARGE_PLANT, FEWER = 7, 0.4
+MOST_ALONE = 3  # if there are at most this many sensor groups, each group is also tried alone
 ORDER = 2  # number of states per force of a fixed-order law
-PREVIEW_TIME = 0.2  # s, time by which the road is known in advance
-SKYHOOK = (-0.7, 0.4, -4.0)  # starting point of the search of skyhook
-# Name of LQG; safety factors on the margins, so that rounding does not decide whether they are kept
+PREVIEW_TIME = 0.2  # s, time for which the road ahead is known
+SKYHOOK = (-0.7, 0.4, -4.0)  # point at which the search for a skyhook law starts
+# Name of the LQG law; safety factors that multiply the required margins, so that rounding does not decide whether a law keeps
+# them
 LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}
 
 

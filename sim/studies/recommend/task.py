@@ -24,11 +24,13 @@ from sim.studies.ride.scores import score_of
 from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
-WINDOW = 10.0  # s, time that is measured on each road
-ROADS = 30  # number of windows of length `WINDOW` over which linear analysis expects the largest value
-NOISE = 0.01  # assumed noise of a sensor without noise in the file, relative to the signal's rms without control
-TRAVEL, FORCE = 1.25, 0.5  # assumed limits of stroke and force, relative to the passive car's peak travel and to the static load
-SPEED = 20.0  # m/s, usual
+WINDOW = 10.0  # s, time over which each road is measured
+ROADS = 30  # linear analysis expects the largest value over this many windows of length `WINDOW`
+NOISE = 0.01  # noise that is assumed for a sensor without noise in the file, relative to the signal's rms without control
+# limit on the stroke, relative to the passive car's peak travel, and on the force, relative to the static load, if no limits
+# are given
+TRAVEL, FORCE = 1.25, 0.5
+SPEED = 20.0  # m/s, usual speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,7 @@ class Task:
         """Rms of each signal of the passive linear vehicle on a road whose velocity is white noise, by name."""
         model = self.line.linear_model
         push = self.white * model.Bw.sum(axis=1, keepdims=True)
-        # 0.2 1/s of extra damping, so that the variance of a body without a spring is finite
+        # Extra damping of 0.2 1/s is added, so that a body without a spring has a finite variance
         slower = model.A - 0.2 * np.eye(len(model.A))
         covariance = linalg.solve_continuous_lyapunov(slower, -push @ push.T)
         sizes = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", model.C, covariance, model.C), 0.0))

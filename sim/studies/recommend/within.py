@@ -8,9 +8,10 @@ from models.common.errors import InputError, alike
 from models.common.printed import brief
 from models.common.units import quantity
 
-MOST_GAIN = 100.0  # a loop that is stable up to this factor counts as stable for all factors
-RANGES = {"gain_margin": (1.0, MOST_GAIN, "6dB"), "disk": (0.0, 2.0, "0.3")}  # and an example
-TAIL = 12  # a tyre load 1 % larger makes the time off the ground about 12 % longer, if this time is about 0.1 %
+MOST_GAIN = 100.0  # a loop that is stable up to this gain factor counts as stable for all larger factors
+# smallest and largest value of each margin, and an example
+RANGES = {"gain_margin": (1.0, MOST_GAIN, "6dB"), "disk": (0.0, 2.0, "0.3")}
+TAIL = 12  # if the tyre is off the ground about 0.1 % of the time, a 1 % larger dynamic load makes this time about 12 % longer
 SHARE = (0.0, 1.0, "95%")
 
 

@@ -24,12 +24,13 @@ from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
 from sim.runs.run import Run
 
-DEGREE = 8  # degree of the polynomial of a piece
+DEGREE = 8  # degree of the polynomial in each piece
 PER_GAP = 8  # smallest number of pieces between two adjacent kinks of the road
-MOST_POINTS = 2_000_000  # largest number of points of a response; in longer runs, the polynomials have a lower degree
-BULGE = 0.1  # largest amount by which a polynomial may exceed its points, relative to their range
-EARLY = 1e-6  # tolerance of times, relative to a step
-ROUNDING = 1e-13  # a change of sign counts only if the values exceed this share of the largest value
+MOST_POINTS = 2_000_000  # largest number of points that represent a response; longer runs have polynomials of a lower degree
+# largest amount by which a polynomial may exceed the points that it interpolates, relative to the range of the points
+BULGE = 0.1
+EARLY = 1e-6  # tolerance of times, as a share of a step
+ROUNDING = 1e-13  # a change of sign counts only if both values exceed this share of the largest value
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,12 +215,12 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     for name in signals:
         values = response[name]
         ends = values[parts::parts].copy()
-        # A held force changes only at the end of its step
+        # A force that is held over a step changes only at the end of the step
         if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
-        # Values at the start of pieces that begin at an edge
+        # Values at the start of the pieces that begin at an edge
         for k in (k for k in edges if name in response.before and k % parts == 0):
             values[k // parts, 0] = response.before[name][k]
         pieces[name] = Pieces(start, np.full(steps * cut, h / cut), values)
@@ -263,7 +264,8 @@ def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...])
     """
     time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
-    held -= {one.force for one in run.vehicle.parts.adjustable}  # a held damping coefficient does not give a constant force
+    # an adjustable damper may hold its damping coefficient, but its force is not constant
+    held -= {one.force for one in run.vehicle.parts.adjustable}
     edges, pieces = road.vertical_edges(), dict[str, Pieces]()
     early = [k for k, edge in edges.items() if not edge.behind]  # at these edges, `before` contains the values after the edge
     for name in signals:
@@ -285,7 +287,7 @@ def _cubics(values: Array) -> Array:
     offset = np.arange(count - 1) - first
     grid = np.arange(float(near))
     coefficients = np.empty((count - 1, 4))
-    for where in range(near - 1):  # index of the step among the gaps between these four samples
+    for where in range(near - 1):  # `where` is the index of the step among the gaps between these four samples
         rows = np.flatnonzero(offset == where)
         x = where + np.arange(4.0) / 3
         lagrange = np.array([np.prod([(x - m) / (j - m) for m in grid if m != j], axis=0) for j in grid])

@@ -67,7 +67,7 @@ from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, radius, with_endin
 from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
 
-STILL = 1e-12  # variance below which a signal counts as zero, relative to the largest variance in the same unit
+STILL = 1e-12  # a signal counts as zero if its variance is smaller than this, relative to the largest variance in the same unit
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,8 @@ def settled_shares(
     loop, C, period = system.A, system.C, whole.period
     now, midway = (system.columns(with_ending(model.disturbances, ending)) for ending in (HEIGHT, MIDWAY))
     Cr = system.D[:, now]
-    raised = np.linalg.solve(np.eye(len(loop)) - loop, system.B[:, now] + system.B[:, midway])  # equilibrium 1 m higher
+    # equilibrium of the loop if all heights are 1 m larger
+    raised = np.linalg.solve(np.eye(len(loop)) - loop, system.B[:, now] + system.B[:, midway])
     sample = round(start / period)
     late = np.array([round(wheel.behind(vehicle.parameters) / road.speed / period) for wheel in vehicle.kind.wheels])
     if controller.preview is not None and late.any():
@@ -151,7 +152,7 @@ def settled_shares(
     longest = longest_panel(vehicle, road.speed, controller.ahead)
     band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest)
     A, B = np.split(band.values, 2, axis=1)
-    # A has the phase at time 0, and B the phase at the start, so the product is rotated by the phase between these times.
+    # The phase of A refers to time 0, and the phase of B to the start, so the product is rotated by the difference.
     cross = np.real(band.turning(sample * period) @ np.sum(A * np.conj(B), axis=-1))
     now = band.share @ (power_of(A) + power_of(B)) - 2 * cross
     comes_to = band.share @ (power_of(A) if here.all() else final(band.omega))
@@ -165,8 +166,9 @@ def settled_shares(
     }
 
 
-FORGOTTEN = 0.01  # share of its final variance that the slowest mode may still lack when the measurement begins
-EXACT = 1e-4  # the error of an integral is reported if it exceeds this share
+# when the measurement begins, the variance of the slowest mode may differ from its final value by at most this share
+FORGOTTEN = 0.01
+EXACT = 1e-4  # the error of an integral is reported if it exceeds this share of the integral
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +243,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         """Returns the spectra of all signals, of weighted accelerations and of actuator work, for each step of a period."""
         pulls = () if rest is None else rest.pulls
         at_steps, jumps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
-        for name, tyre in damped.items():  # deflection of an undamped tyre that has the same force
+        for name, tyre in damped.items():  # deflection at which a tyre without damping would have the same force
             at_steps[:, :, index[name]] += tyre.time * at_steps[:, :, index[tyre.hub]]
             turns = np.exp(1j * omega * timestep * np.arange(len(at_steps))[:, None])
             at_steps[:, :, index[name], loads[name]] -= tyre.time * turns
@@ -251,7 +253,8 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         if rest is not None and rest.sharp:
             of_road = outside * (np.arange(outside.shape[1]) < len(vehicle.kind.wheels))[:, None]
             at_steps[:, :, ride], jumps[:, :, ride] = (one[:, :, ride] @ of_road for one in responses)
-        at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2  # mean of the values before and after a jump, see `metrics.py`
+        # the mean of the values before and after a jump is used, see `metrics.py`
+        at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2
         weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
         works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]
         powers = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)
@@ -265,7 +268,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     if rest is not None:
         below = sample_band(spectra, checked, LOWEST * low, low, poles, longest_panel(vehicle, road.speed, controller.ahead))
         band = below.before(band)
-    # The integral equals the sum over the lines only if each resonance is wider than the spacing of the lines.
+    # The integral equals the sum over the lines of the road only if each resonance is wider than the spacing of the lines.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))
     narrowest = float(damping[(rate > low) & (rate < high)].min(initial=math.inf))
     grain = 2 * math.exp(-narrowest * road.length / road.speed)
@@ -287,7 +290,8 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         window,
         timestep,
         road.speed,
-        # The lines of a road have fixed amplitudes, so a metric over the whole length of the road has no spread.
+        # Because the lines of a road have fixed amplitudes, a metric over the whole length of the road is the same for every
+        # seed.
         max(1 - window * road.speed / road.length, 0.0),
         line.mean,
         static,

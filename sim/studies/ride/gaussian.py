@@ -26,13 +26,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
+import scipy  # `scipy.special` is imported only when it is used, because the import takes a tenth of a second
 
 from models.common.arrays import Array
 
-LEVELS = np.linspace(0.0, 12.0, 1201)  # levels relative to sigma; no run is long enough to exceed the largest level
-BIN = 1 / 64  # width of a bin of a coarse spectrum [Hz], sufficient for a running mean over 1 s
-DEGREES = (2, 3, 4, 5, 6)  # degrees of the Hermite polynomials that are included for a clipped square
+# levels of a signal relative to its standard deviation sigma; no run is long enough to exceed the largest level
+LEVELS = np.linspace(0.0, 12.0, 1201)
+BIN = 1 / 64  # width of a bin of the coarse spectrum [Hz], fine enough for a running mean over 1 s
+DEGREES = (2, 3, 4, 5, 6)  # degrees of the Hermite polynomials that represent the square of a clipped signal
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,8 @@ class Gaussian:
         a = clip / self.sigma
         total, power = 0.0, correlation.copy()
         for k in DEGREES:
-            power *= correlation  # correlation^k, computed by products, which are a hundred times faster than powers
+            # correlation^k, computed by repeated multiplication, which is a hundred times faster than a power
+            power *= correlation
             memory = square if k == 2 else float(np.sum(power)) * step - step / 2
             total += _hermite_of_clipped_square(k, a) ** 2 / math.factorial(k) * min(2 * max(memory, 0.0) / window, 1.0)
         return self.sigma**4 * total
@@ -101,7 +103,7 @@ class Gaussian:
             return 0.0
         m0, m1, m2 = (float(self.share @ (self.omega**k * self.spectrum)) for k in range(3))
         width = math.sqrt(max(1 - m1**2 / (m0 * m2), 0.0))
-        crossings = math.sqrt(m2 / m0) / math.pi * window  # number of zero crossings in both directions
+        crossings = math.sqrt(m2 / m0) / math.pi * window  # expected number of zero crossings in both directions
         eta = LEVELS[1:]
         clump = -np.expm1(-math.sqrt(math.pi / 2) * width**1.2 * eta)
         below = -np.expm1(-(eta**2) / 2) * np.exp(-crossings * clump / np.expm1(eta**2 / 2))
@@ -117,20 +119,20 @@ class Gaussian:
         if not self.sigma:
             return 0.0
         mass, apart = self._mass, np.arange(len(self._mass)) * BIN
-        # Products of the variances at pairs of frequencies. `pairs` sorts them by the difference of the frequencies, `sums` by
-        # the sum.
+        # Products of the variances at two frequencies, added up in `pairs` by the difference of the frequencies, and in `sums`
+        # by their sum.
         pairs = 2 * np.fft.irfft(np.abs(np.fft.rfft(mass, _power_of_two(2 * len(mass)))) ** 2)[: len(mass)]
         pairs[0] /= 2
         low = 1 / (1 + (2 * np.pi * apart * memory) ** 2)
         slow = float(pairs @ low)
-        # Frequencies up to 8 Hz suffice, because the running mean suppresses higher ones
+        # Frequencies up to 8 Hz suffice, because the running mean suppresses higher frequencies
         sums = np.convolve(mass[: 8 * 64], mass[: 8 * 64])
         quick = float(sums @ (1 / (1 + (2 * np.pi * (np.arange(len(sums)) + 1) * BIN * memory) ** 2)))
         variance = slow + quick
-        # Rms of the derivative of the slow part, relative to the rms of this part
+        # Rms of the slow part's derivative, relative to the rms of the slow part
         rate = math.sqrt(float(pairs @ (1 - low)) / slow) / memory
         shape = self.sigma**4 / variance
-        # A level of the mean square is exceeded as often as a corresponding level u of a Gaussian signal with this rate.
+        # The mean square exceeds a level as often as a Gaussian signal with this rate exceeds the corresponding level u.
         u = np.linspace(-5, 8, 1301)
         below = scipy.special.ndtr(u) * np.exp(-rate / (2 * np.pi) * window * np.exp(-(u**2) / 2))
         levels = scipy.special.gammainccinv(shape, scipy.special.ndtr(-u)) / shape
@@ -198,7 +200,7 @@ class RandomSignals:
         square = signal.clipped_mean_square(clip)
         whole = square + offset**2
         value = math.sqrt(whole) * scale
-        # The relative spread of an rms is half the relative spread of the mean square.
+        # An rms has half the relative spread of its mean square.
         variance = signal.mean_square_variance(self.window, clip)
         return value, value * math.sqrt(self.variance_share * variance) / (2 * whole) if square else 0.0
 
@@ -219,7 +221,8 @@ def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> f
     r = min(max(covariance / (x * y), -1.0), 1.0) if x * y else 0.0
     if not mean:
         return x * y * (math.sqrt(1 - r**2) + r * math.acos(-r)) / math.pi
-    # If Y equals z standard deviations, X is Gaussian with a conditional mean and deviation, so the mean positive part is known.
+    # If Y is z standard deviations, the conditional distribution of X is Gaussian with known mean and deviation, so its mean
+    # positive part is known.
     z, left = LEVELS, max(x * math.sqrt(1 - r**2), 1e-9 * (x + abs(mean)))
     total = np.zeros_like(z)
     for side in (1.0, -1.0):

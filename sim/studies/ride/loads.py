@@ -30,10 +30,10 @@ from sim.studies.study import Progress, Study
 from sim.studies.subject import Subject
 
 DURATION = 5.0  # s, shortest duration of a run under loads
-AFTER = 2.0  # s, duration of a run after the last change of a load
+AFTER = 2.0  # s, time that a run continues after the last change of a load
 LONGEST = 60.0  # s, longest duration of a run under loads
 SPEED = 20.0  # m/s; the speed has no effect on a flat road
-BRAKE, BRAKED = "brake:g=0.5", 3.0  # braking load, and duration of its run [s], long enough to settle
+BRAKE, BRAKED = "brake:g=0.5", 3.0  # load of the braking run, and duration of this run [s], which is long enough to settle
 LeaningRow = tuple[str, Metric, RunMetrics]
 
 
@@ -146,7 +146,7 @@ def _panel(name: str, unit: str, curves: Sequence[Curve], symbol: str = "") -> P
     return Panel(f"{words}{symbol}", "time [s]", f"{words} [{unit}]", tuple(curves))
 
 
-BRAKING_SUBJECT = "braking"  # subject of the request that computes the dive under braking
+BRAKING_SUBJECT = "braking"  # subject of the request that computes the pitch angle (dive) under braking
 
 
 class LoadsStudy(Study[Any]):

@@ -71,10 +71,11 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
     return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 
 
-RUNNING_TIME_CONSTANT = 1.0  # time constant of the running rms [s]
-DEFINITIONS = 7  # version of the metrics and their expectations; incremented whenever a number changes
-LATE_WINDOW = 6  # last version in which the window of weighted metrics began and ended three samples late
-ONE_SIDED = 5  # version that used one value at jumps caused by semi-active dampers; all other numbers equal those of version 6
+RUNNING_TIME_CONSTANT = 1.0  # time constant with which the running rms is computed [s]
+DEFINITIONS = 7  # version number of the metrics and their expected values; it is increased whenever a number changes
+LATE_WINDOW = 6  # last version in which weighted metrics were measured over a window that began and ended three samples late
+# last version that used only one value at a jump caused by a semi-active damper; all other numbers equal those of version 6
+ONE_SIDED = 5
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,8 @@ class Column:
     by_side: bool = False
 
 
-Expectation = tuple[float, float | None] | None  # expected value, and its standard deviation from road to road (None if unknown)
+# expected value of a metric, and its standard deviation from road to road (None if unknown)
+Expectation = tuple[float, float | None] | None
 
 
 class Totals:
@@ -137,7 +139,7 @@ class Totals:
 
     def keep(self, values: Array) -> None:
         """Updates the largest values with the magnitudes of `values`, shape (N, B)."""
-        self.keep_largest(np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0)  # + 0.0 changes -0.0 to 0.0
+        self.keep_largest(np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0)  # adding 0.0 changes -0.0 to 0.0
 
     def keep_largest(self, largest: Array) -> None:
         """Updates the largest values, shape (N,)."""
@@ -325,10 +327,10 @@ class Meter:
             for name in self.accelerations
         }
         self.running = {name: np.zeros((1, count, 1)) for name in self.accelerations}
-        self.last: dict[str, Array] = {}  # last two samples of accelerations, shape (N, 2)
+        self.last: dict[str, Array] = {}  # the two most recent samples of each acceleration, shape (N, 2)
         self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.vehicle.dampers else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
-        # Last samples of forces and deflections, from which the work is computed, shape (N, 1)
+        # The most recent sample of each force and deflection, from which the work is computed, shape (N, 1)
         self.before: dict[str, Array] = {}
         self.seen = self.samples = 0
 
@@ -352,7 +354,8 @@ class Meter:
 
     def result(self) -> dict[str, Array]:
         """Returns all metrics by name after the last block, shape (N,) each."""
-        for name, last in self.last.items():  # the filter has a delay, so accelerations are extrapolated linearly
+        # the accelerations are extrapolated linearly beyond the end, because the filter has a delay
+        for name, last in self.last.items():
             self._weigh(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
         self.last = {}
         return {metric.name: metric.result(totals, self) for metric, totals in self.totals.items()}

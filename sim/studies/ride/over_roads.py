@@ -30,8 +30,8 @@ from sim.studies.subject import AVERAGE, SEEDS, SPEED, Subject
 from synth.controller.controller import AnyController
 
 CLASSES = "ABCD"
-WINDOW = 10.0  # s, duration of the measurement after the transient
-LONGEST = 20.0  # s, longest transient before the measurement
+WINDOW = 10.0  # s, time over which a run is measured after the transient
+LONGEST = 20.0  # s, longest transient that is awaited before the measurement
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
             look, some = style[name], [one for one in rides if (one.metric, one.controller) == (metric, name)]
             x = np.array([float(CLASSES.index(one.road_class)) for one in some])
             predicted, measured = (np.array([get(one) for one in some]) for get in (attrgetter("predicted"), MEASURED_RIDE.value))
-            if np.isfinite(predicted).any():  # laws in Python have no prediction
+            if np.isfinite(predicted).any():  # the ride is not predicted for laws in Python
                 curves.append(Curve(x, predicted, name, look.color, look.dash))
             if some:
                 curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=f"{name}, MuJoCo"))

@@ -39,9 +39,9 @@ from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
-NEARLY = 0.01  # relative difference between the durations of a run and of its road above which a remark is printed
-SETTLED = 0.1  # relative; a variance closer to its final value needs no remark
-NO_ANGLE = 1e-9  # deg, largest rounding error of angles that symmetry keeps at zero
+NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by a larger share
+SETTLED = 0.1  # no remark is needed if the relative distance of a variance from its final value is smaller than this
+NO_ANGLE = 1e-9  # deg; a smaller angle is a rounding error if symmetry keeps the angle at zero
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
@@ -100,7 +100,7 @@ ERROR = Field[float]("relative error", float, ".1g")
 METRIC: tuple[Field[MetricComparison], ...] = (
     Field("unit", lambda one: one.unit, key="unit"),
     MUJOCO,
-    Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # the key in files is "linear", see `sim.recording.run_log`
+    Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # files use the key "linear", see `sim.recording.run_log`
     EXPECTED_VALUE,
     SPREAD,
 )
@@ -293,7 +293,7 @@ def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
 def roughness_sentence(run: Run) -> str:
     """Returns a sentence with the IRIs of the driven part of a road, or the reason why it has none; empty for a flat road."""
     known = driven_roughness(run.vehicle, run.road, run.prediction.time)
-    if not any(one.iri or one.expected for one in known):  # the IRI of a flat road is 0
+    if not any(one.iri or one.expected for one in known):  # on a flat road, the IRI is 0
         return why_none(run.road)
     texts = [
         f"{_name(one, known)} {three_digits(one.iri)}"

@@ -17,9 +17,9 @@ from sim.studies.ride.scores import COLUMNS, FIELDS, FORCES, Score, best, score_
 STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
 USED_TRAVEL = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
 SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
-# Columns of changes relative to the passive vehicle
+# Columns that show changes relative to the passive vehicle
 CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}
-MANY = 4  # largest number of names in a sentence
+MANY = 4  # largest number of names that a sentence lists
 MOST_POINTS = 2  # largest number of columns for the ride at points without a person
 
 

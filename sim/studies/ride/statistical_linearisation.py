@@ -42,7 +42,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
+import scipy  # `scipy.special` is imported only when it is used, because the import takes a tenth of a second
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
@@ -59,16 +59,17 @@ from synth.plant.quadrature import sample_band
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
-DEGREES = (2, 3, 4)  # degrees of the Hermite polynomials that are included
-COUNT = 4096  # number of frequencies
-HIGHEST = 2 * np.pi * 125.0  # smallest upper end of the frequencies [rad/s]
-ABOVE = 6.0  # for a fast vehicle, upper end of the frequencies relative to the frequency of its fastest oscillation
-MEMORY_CONSISTENT = 1e-6  # relative change at which the iteration ends
-MEMORY_DIRECT = 10  # number of iterations with full steps
+DEGREES = (2, 3, 4)  # degrees of the Hermite polynomials that represent a nonlinear force
+COUNT = 4096  # number of frequencies in a spectrum
+HIGHEST = 2 * np.pi * 125.0  # the frequencies extend at least to this value [rad/s]
+ABOVE = 6.0  # for a fast vehicle, the frequencies extend to this multiple of the frequency of its fastest oscillation
+MEMORY_CONSISTENT = 1e-6  # the iteration ends if the relative change is smaller than this
+MEMORY_DIRECT = 10  # number of first iterations that take full steps
 MEMORY_ROUNDS = 100  # largest number of iterations
-SHARP = 0.04  # share of the remainder in the variance of a force above which a curve counts as sharp, for example due to friction
+# a curve counts as sharp (for example, due to friction) if the remainder has a larger share of the variance of its force
+SHARP = 0.04
 GAUSS = np.polynomial.hermite_e.hermegauss(200)  # nodes and weights for averages over a Gaussian variable
-LOWEST = 1e-3  # lowest frequency of the remainder's noise, relative to the lowest frequency of the road
+LOWEST = 1e-3  # lowest frequency of the noise that represents the remainder, relative to the lowest frequency of the road
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ class Remainder:
         excitation = np.zeros((len(omega), wheels + len(self.index), 2 + len(self.index)), dtype=complex)
         excitation[:, :wheels, :2], excitation[:, wheels:, 2:] = by_road, by_noise
         turn = np.exp(-1j * np.multiply.outer(np.arange(steps) * timestep, omega))[..., None, None]
-        response = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # component at omega
+        response = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # component of the response at the frequency omega
         memory = _interpolate_matrices(self.omega, self.memory, omega)
         closed = np.linalg.solve(np.eye(len(self.index)) - response[..., wheels:] @ memory, response @ excitation)
         excitation[:, wheels:] += memory @ closed
@@ -185,7 +186,7 @@ def remainder(
             each = zip(line.curves, means, deviations, moments, strict=True)
             share = max(_share_beyond(curve, m, s, slope) for curve, m, s, (_, slope) in each)
             return Remainder(line.deflections, index, omega, transfer, new_noise, beyond, share)
-        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # full steps would overshoot if a controller nearly cancels a spring
+        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # if a controller nearly cancels a spring, full steps would overshoot
         memory, noise, means = (
             memory + step * (transfer - memory),
             noise + step * (new_noise - noise),
@@ -228,7 +229,7 @@ def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tup
         Changes of the mean forces, shape (e,); memory, shape (T, e, e); covariance of the noise, shape (T, e, e).
     """
     memory, noise, force = np.zeros_like(rho), np.zeros_like(rho), np.zeros(len(c))
-    power = rho  # rho^(n-1)
+    power = rho  # `power` is rho^(n-1), where n is the degree
     for k, n in enumerate(DEGREES):
         pairs = np.outer(c[:, k], c[:, k])
         memory += n**2 * math.factorial(n - 1) * pairs / np.outer(deviations, deviations) * power

@@ -26,9 +26,10 @@ from synth.controller.loop_of import HEIGHT, with_ending
 if TYPE_CHECKING:
     from sim.studies.ride.between_samples import Pieces
 
-BAND = 2.0  # %, default half width of the band for the settling time
-BANDS = (1e-6, 99.0)  # %, smallest and largest allowed half width
-SILENT = 1e-9  # peak below which a signal counts as zero (by symmetry), relative to the largest signal with the same unit
+BAND = 2.0  # %, half the width of the band in which a signal counts as settled, unless the user gives another
+BANDS = (1e-6, 99.0)  # %, smallest and largest allowed half width of this band
+# a signal counts as zero (by symmetry) if its peak is smaller than this, relative to the largest signal with the same unit
+SILENT = 1e-9
 SETTLED, NOT_SETTLED, NEVER_OUTSIDE = "settled", "not settled", "never outside"
 
 
@@ -205,7 +206,7 @@ RECORD = Record[SignalSteps](
     "final",
     "half_band",
     mujoco=ROUTE.all("mujoco"),
-    linear=ROUTE.all("sampled"),  # the key in files is "linear"
+    linear=ROUTE.all("sampled"),  # files use the key "linear"
     continuous=ROUTE.all("continuous"),
 )
 

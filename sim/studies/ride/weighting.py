@@ -18,9 +18,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
-# Python numbers are fastest for up to FEW signals, NumPy arrays for up to MANY; SciPy takes half a second to import
+# Python numbers are fastest for at most FEW signals, and NumPy arrays for at most MANY. SciPy, which takes half a second to
+# import, is fastest for more
 FEW, MANY = 4, 64
-ORDER = 2  # order of the denominators
+ORDER = 2  # order of the filters' denominators
 
 
 def filter_signals(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
@@ -96,7 +97,7 @@ def _step(value: Any, known: Any, state: list[Any], b: Sequence[Any], a: Sequenc
 
 
 DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # filter with the response 2 - 2 cos(omega h), delayed by one sample
-LATE = 3  # delay of the sampled filter in samples
+LATE = 3  # delay of the sampled filter, in samples
 RESTORE = np.zeros(2 * LATE + 1)
 for power, share in enumerate((1.0, 1 / 12, 1 / 90, 1 / 560)):
     taps = np.array([1.0])

@@ -4,4 +4,4 @@ Start with `margin_search`, which contains `find_margins`. `edge` uses MuJoCo to
 sample period that makes a loop unstable.
 """
 
-TIMESTEP = 5e-4  # s, default timestep of the runs
+TIMESTEP = 5e-4  # s, timestep of the runs if the user gives none

@@ -13,8 +13,8 @@ from scipy.sparse.linalg import LinearOperator, eigs
 from models.common.arrays import Array
 from synth.plant.state_space import StateSpace
 
-FEW = 60  # largest number of states and pending forces for which it is faster to compute all eigenvalues
-LARGEST = 4  # number of computed eigenvalues: two pairs, because two loops of a symmetric vehicle can be equal
+FEW = 60  # with at most this many states and pending forces, computing all eigenvalues is faster
+LARGEST = 4  # number of eigenvalues to compute: two pairs, because two loops of a symmetric vehicle can be equal
 
 
 def slowest_from_sample_to_sample(cut: StateSpace, delay: int) -> complex:
@@ -35,7 +35,7 @@ def mode(cut: StateSpace, delay: int, over_delay: complex) -> tuple[complex, Arr
         delay: delay d in samples.
         over_delay: result of `slowest_from_sample_to_sample`.
     """
-    # The d-th root is not unique. Only one of the d roots solves the eigenvalue equation.
+    # There are several d-th roots, where d is the delay in samples, but only one of them solves the eigenvalue equation.
     tried = over_delay ** (1 / max(delay, 1)) * np.exp(2j * np.pi * np.arange(max(delay, 1)) / max(delay, 1))
     late = cut.loop_matrix(1 / over_delay if delay else 1.0)
     sizes = np.abs(np.linalg.eigvals(late) - tried[:, None]).min(axis=1)
@@ -47,14 +47,14 @@ def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
     """Returns the largest eigenvalue of the map from one state to the state after a whole delay."""
     Phi, Gamma, G, (n, m) = cut.A, cut.B, cut.C, cut.B.shape
     size = n + delay * m
-    moved = np.empty((delay + 1, n, n))  # powers of Phi
+    moved = np.empty((delay + 1, n, n))  # powers 0 to `delay` of the state matrix Phi
     moved[0] = np.eye(n)
     for k in range(delay):
         moved[k + 1] = moved[k] @ Phi
     seen = G @ moved[:-1]  # requested force per unit of the state k samples earlier, shape (delay, m, n)
     pushed = moved[-2::-1] @ Gamma  # state at the end per unit of force in step k, shape (delay, n, m)
-    length = 2 ** (2 * delay - 1).bit_length()  # this length is sufficient that the circular convolution does not wrap around
-    # Requested force per unit of the force that acted k samples earlier.
+    length = 2 ** (2 * delay - 1).bit_length()  # length from which the circular convolution does not wrap around
+    # Requested force per unit of a force that acted k samples earlier.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
 
     def after(state: Array) -> Array:

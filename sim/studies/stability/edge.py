@@ -21,14 +21,14 @@ from sim.drive.drive import drive
 from sim.studies.stability.simulated_loop import LoopCase, SimulatedLoop, simulated_loop
 from synth.plant.state_space import StateSpace
 
-WIDTH = 2e-3  # relative width of the interval between stable and unstable amounts at which a search ends
+WIDTH = 2e-3  # a search ends if the interval between stable and unstable amounts has this relative width
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # amounts to try, relative to the expected limit
-CHANGE = 0.1  # relative change of a mode after which a run may end
-# Durations of the shortest run, of the longest run, and of the longest run of a slow mode [s]. A run is longer if its delay
-# requires it.
+CHANGE = 0.1  # a run may end after a mode has changed by this relative amount
+# Durations of the shortest run, of the longest run, and of the longest run of a slow mode [s]. A run with a large delay may be
+# longer.
 SHORTEST, LONGEST, SLOW = 0.05, 0.15, 4.0
-CLEAR = 1e-5  # smallest relative change of a mode over a run that cannot be due to geometry or rounding
-SLOWEST = 8.0  # s; MuJoCo does not simulate longer delays and sample periods
+CLEAR = 1e-5  # smallest relative change of a mode over a run that geometry or rounding cannot have caused
+SLOWEST = 8.0  # s; longest delay, and longest sample period, that is simulated in MuJoCo
 
 
 def no_progress(message: str) -> None:

@@ -18,7 +18,7 @@ from sim.studies.stability.simulated_loop import LoopCase
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.loop_of import loop_of, radius
 
-POINTS, MEASURED = 40, 7  # number of points of a predicted curve, and number of points from MuJoCo
+POINTS, MEASURED = 40, 7  # number of points of a predicted curve, and number of points that are measured in MuJoCo
 LINE = "#404040"
 SIZE = Field[float]("margin", float, ".5g")
 TIME = Field[float]("time", float, SIZE.form, 1e3, unit="ms")
@@ -91,7 +91,7 @@ def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[
         rate: function that returns the predicted growth rate of a loop [1/s].
         scale: factor from SI units to the unit of the label.
     """
-    # The panel ends soon after the margin, because larger growth rates are of no interest.
+    # The plot ends soon after the margin, because larger growth rates are of no interest.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable
     known = [amount for amount in (search.stable, search.unstable) if 0 < amount < math.inf]
     amounts, points = (_multiples([*np.linspace(0.0, end, count), *known], search.multiple) for count in (POINTS, MEASURED))

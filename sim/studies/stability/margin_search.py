@@ -26,12 +26,15 @@ from synth.controller.sample_period_margin import sampled_growth_at, sampled_par
 from synth.controller.stability_margins import LARGEST_FACTOR, Margins, gain_crossings, margins
 from synth.plant.state_space import StateSpace
 
-BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # road of recorded runs: short, and too low to lift a wheel
-LONGEST = 2.0  # s; longest delay and sample period to try if linear analysis predicts no limit
-AGREES = 5e-3  # allowed relative difference of a gain margin; the error of a search is 0.2 %, that of an extrapolation 0.3 %
-ENDS = 1.5e-3  # relative error of a gain margin found by a search; it determines the error of an extrapolation
-HALVINGS = 9  # largest number of halvings of the timestep; runs at smaller steps take minutes
-# If halving the step increases a margin by more than this factor, the margin tends to infinity as the step shrinks
+# road on which recorded runs drive: short, and too low to lift a wheel
+BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")
+LONGEST = 2.0  # s; longest delay, and longest sample period, to try if linear analysis predicts no limit
+# allowed relative difference of a gain margin; a search has an error of 0.2 %, and an extrapolation an error of 0.3 %
+AGREES = 5e-3
+# largest relative error of a gain margin that a search finds; the error of an extrapolation depends on this error
+ENDS = 1.5e-3
+HALVINGS = 9  # largest number of times that the timestep is halved; runs at smaller steps take minutes
+# A margin tends to infinity for small steps if halving the step increases the margin by more than this factor
 WITHOUT_END = 1.5
 
 
@@ -321,7 +324,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         cut = loop_of(prompt, controller, timestep).cut(forces)
         return abs(slowest_from_sample_to_sample(cut, round(delay / timestep))) > 1
 
-    late = max(predicted.delay - timestep / 2, timestep)  # holding the force acts like a delay of half a sample
+    # a force that is held over a sample acts like a force delayed by half a sample
+    late = max(predicted.delay - timestep / 2, timestep)
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
     return LoopMargins(
         predicted,
@@ -359,7 +363,7 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
 
     late = (
         math.inf
-    )  # near half the sample rate, a delayed hold differs from a phase lag, so the delay is searched in the linear loop
+    )  # near half the sample rate, a delayed hold is not equal to a phase lag, so the delay is searched for in the linear loop
     if mine.all() and predicted.delay < SLOWEST:
         late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
     return LoopMargins(
@@ -401,7 +405,7 @@ def _gain_margins(
         return LoopCase(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
-        # An amount is a factor above 1. The factor multiplies the gain (power 1) or divides the gain (power -1).
+        # The amount is a factor above 1, by which the gain is multiplied (power 1) or divided (power -1).
         def amount(step: float, k: int = power) -> float:
             return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
 

@@ -20,7 +20,7 @@ from synth.analysis.specification import FREQUENCY
 from synth.controller.law_margins import TURN, decibels
 from synth.controller.stability_margins import LARGEST_FACTOR
 
-IMPLEMENTED_MARGINS = "gain", "phase", "disk"  # names of the margins of the implemented loop
+IMPLEMENTED_MARGINS = "gain", "phase", "disk"  # names of the margins that are given for the implemented loop
 AGREES = {True: "agrees", False: "DOES NOT AGREE"}
 UNDECIDED_NOTE = "undecided: the slowest mode hardly changes"
 
@@ -103,7 +103,7 @@ FACTOR = Field[float]("factor", float, ".3g")
 
 SAMPLED_MARGIN = Record[tuple[float, StabilityEdge]](
     timestep=lambda tried: tried[1].timestep, predicted=lambda tried: tried[0], found=lambda tried: tried[1].found
-)  # margin of the sampled loop at a timestep of the simulation
+)  # the margin belongs to the sampled loop at one timestep of the simulation
 LOOP = Record[LoopMargins](
     gain=Record(
         *GAIN,

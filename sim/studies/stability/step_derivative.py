@@ -15,7 +15,7 @@ from sim.drive.sensor_readout import batch_of, prepared_readout, states_of_parts
 from synth.plant.state_space import StateSpace
 
 MOTION, FORCE = 1e-5, 1e-2  # steps of the finite differences [m or rad; N]; nonlinear geometry causes a relative error of 1e-9
-SMOOTH = 1e-3  # allowed relative difference between forward and backward differences
+SMOOTH = 1e-3  # largest relative difference that is allowed between forward and backward differences
 
 
 @lru_cache(maxsize=16)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sim.studies.validity.regime_end import RegimeEnd
     from sim.studies.validity.regime_map import Cells
 
-OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps in a report
+OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps that a report shows
 
 
 class EnvelopeStudy(Study["Cells"]):
@@ -73,7 +73,7 @@ examples:
         from sim.studies.validity.map_runs import with_loads
 
         options, (bumps, time, loads) = request.options, _map_of(request)
-        print_remarks(bumps[-1])  # the largest bump
+        print_remarks(bumps[-1])  # remarks are printed for the largest bump only
         if not 0 < options.threshold < 1:
             raise InputError(f"threshold = {options.threshold:g} is not allowed; give a number above 0 and below 1, such as 0.05")
         if abs(bumps[0].height) < LOWEST:

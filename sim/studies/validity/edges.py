@@ -14,8 +14,8 @@ from sim.drive.regime import END_NAMES
 from sim.studies.validity.grid import UNITS
 from sim.studies.validity.regime_map import Cells
 
-LINES = 4  # largest number of lines of the map in the printed table
-PARTS = 2  # largest number of limits that one row of the table lists
+LINES = 4  # largest number of lines that show the map in the printed table
+PARTS = 2  # largest number of limits in one row of the table
 HEIGHT = Field[float]("height", float, ".4g", unit="m")
 TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 
@@ -26,7 +26,8 @@ def edges(cells: Cells) -> dict[str, Any]:
     For each value of the other axis, `lines` contains the predicted limits along the height. If the height does not vary, these
     are the limits along the first axis. `enclosed` contains the heights that MuJoCo runs enclose.
     """
-    proportional = not (cells.loads or cells.vehicle.parts.nonlinear)  # if True, one response predicts all heights
+    # if True, the response for one height predicts the responses for all heights
+    proportional = not (cells.loads or cells.vehicle.parts.nonlinear)
     along, *others = sorted(cells.axes, key=lambda axis: axis.name != "height")
     members: dict[float, list[int]] = {}
     for i, bump in enumerate(cells.bumps):

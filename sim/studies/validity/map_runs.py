@@ -21,7 +21,7 @@ from sim.linear.stepped import stepped_runs
 from sim.observers.recorder import Recording, record
 from synth.controller.controller import Controller, is_linear
 
-AT_ONCE = 32  # largest number of runs in a batch; short runs would wait for the longest run of a larger batch
+AT_ONCE = 32  # largest number of runs in a batch; in a larger batch, short runs would wait for the longest run
 
 
 @dataclass(frozen=True)

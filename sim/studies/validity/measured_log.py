@@ -22,12 +22,12 @@ from sim.drive.response import Response
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
-LEAST_OVERLAP = 0.5  # smallest overlap of log and run for a correlation, relative to the shorter of the two
-MOST_SAMPLES = 2**21  # largest number of samples of log and run that are correlated
+LEAST_OVERLAP = 0.5  # smallest overlap of log and run with which they are correlated, relative to the shorter of the two
+MOST_SAMPLES = 2**21  # largest number of samples with which log and run are correlated
 WEAK = 0.5  # if the correlation is smaller, a remark asks the user to check the start
-OFFSET = 0.1  # a remark is printed if removing an offset improves the fit by more
-# Smallest correlation with the opposite sign that suggests a wrong sign, and its smallest ratio to the correlation with the given
-# sign.
+OFFSET = 0.1  # a remark is printed if subtracting an offset improves the fit by more than this
+# A wrong sign is suggested if a correlation is below OPPOSITE, and its magnitude exceeds the correlation with the given sign by
+# the factor CLEARLY.
 OPPOSITE, CLEARLY = -0.5, 1.1
 
 
@@ -57,7 +57,7 @@ class SignalFit:
         return asdict(self)
 
 
-_Row = tuple[Signal, str, SignalFit]  # signal, name of the run, and comparison of this signal in this run
+_Row = tuple[Signal, str, SignalFit]  # a signal, the name of a run, and the comparison of this signal with the log in this run
 
 
 def requested_log(options: Namespace, vehicles: Iterable[Vehicle]) -> MeasuredLog | None:

@@ -27,14 +27,15 @@ from sim.runs.agreement import first_loose
 from sim.studies.validity.map_runs import MapRun, analysed_each, drive_bumps, largest_difference, shares, with_loads
 from synth.controller.controller import Controller
 
-WITHIN = 1.001  # the heights of the two MuJoCo runs are the predicted height divided and multiplied by this factor
-NEAR = 1.03  # limits within this factor on the height may be reached first, because bodies rotate
+WITHIN = 1.001  # MuJoCo simulates the predicted height divided by this factor, and multiplied by it
+NEAR = 1.03  # because bodies rotate, another limit may be reached first if its height is within this factor
 FURTHEST = 4.0  # highest bump to try, relative to the predicted height
-ROUNDS = 8  # largest number of rounds of MuJoCo runs
+ROUNDS = 8  # largest number of times that MuJoCo runs are repeated at other heights
 ANALYSES = (
     20  # largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit
 )
-# A run ends early if, relative to the limits, all later signals are below OVER times the largest one. CUTS times are checked.
+# A run can be cut off early if, relative to the limits, all signals afterwards are below OVER times the largest one. CUTS times
+# are tried as the end.
 OVER, CUTS = 0.8, 30
 
 
@@ -154,7 +155,7 @@ def _predict_ends(
     return [results[i] for i in range(len(searches))]
 
 
-PredictedResponse = tuple[Response, Array]  # a response, and its values relative to each limit per metre of height, shape (E,)
+PredictedResponse = tuple[Response, Array]  # a response, and its values per metre of height, relative to each limit, shape (E,)
 
 
 def _search(
@@ -208,7 +209,7 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
 def _needed_samples(vehicle: Vehicle, controller: Controller, response: Response) -> int:
     """Returns the number of samples after which a response is too small to reach a limit."""
     count, most = len(response.time), shares(vehicle, controller, response).max()
-    if vehicle.implementation.has_measurement_noise:  # noise does not decay
+    if vehicle.implementation.has_measurement_noise:  # measurement noise does not decay, so the run has no quiet end
         return count
     for cut in range(count // CUTS, count - 1, max(1, count // CUTS)):
         rest = Response(response.time[cut:], response.signals, response.values[cut:])

@@ -29,12 +29,13 @@ from sim.studies.validity.map_runs import MapRun, analyse_bumps, drive_bumps, sh
 from sim.studies.validity.regime_end import RegimeEnd, enclose_ends
 from synth.controller.controller import Controller, is_linear
 
-BOUNDARY = 0.01  # a cell is at a boundary if a relative change of the height by this amount changes the prediction
+BOUNDARY = 0.01  # a cell is at a boundary if the prediction changes when the height is changed by this share
 AT_ONCE = 64  # number of responses that are computed simultaneously
-# Smallest number of random cells and of edges to simulate; shares of all cells for random cells and for edges.
+# Smallest number of random cells to simulate, and of cells at edges; share of all cells that is simulated at random, and at
+# edges.
 FEWEST, IN_CELLS, AT_EDGES = 10, 1 / 40, 1 / 20
-CLOSE = 1.1  # a cell counts as near the edge if its height is within this factor of the edge
-WITHIN = 1.004  # factor between the height of the edge and the heights of the two runs that enclose the edge
+CLOSE = 1.1  # a cell counts as near an edge if its height is within this factor of the height of the edge
+WITHIN = 1.004  # factor between the height of the edge and the heights of the two runs, one below and one above the edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,7 @@ class Cells:
         return not self.unexplained and all(end.confirmed for end in self.ends.values())
 
 
-@np.errstate(over="ignore", invalid="ignore")  # the signals of an unstable loop overflow, and its cells show this
+@np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop overflow, and the cells of the map show this
 def validity(
     vehicle: Vehicle,
     controller: Controller,
@@ -154,7 +155,7 @@ def validity(
     """
     used, predicted, when, travel = _predict_cells(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
-    # One random cell is simulated in each of these parts of the grid
+    # From each of these parts of the grid, one random cell is simulated
     borders = np.linspace(0, len(bumps), wanted + 1).astype(int)
     chosen = np.random.default_rng(0).integers(borders[:-1], borders[1:])
     runs = drive_bumps(vehicle, [(controller, with_loads(bumps[i], loads), len(time)) for i in chosen], time)

@@ -366,7 +366,7 @@ class ControlPower(Work):
         totals.add(meter.work(self.source).sum(axis=1))
 
     def result(self, totals: Totals, meter: Meter) -> Array:
-        # The mean is over the time from the first to the last sample
+        # The mean is taken over the time from the first to the last sample
         return totals.sum / (max(meter.samples - 1, 1) * meter.timestep)
 
     def expected(self, random: "RandomSignals") -> Expectation:
@@ -384,7 +384,7 @@ class ControlEnergy(Work):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return totals.sum
 
-    # The time is the window minus one step, because n samples have n - 1 steps
+    # The time is one step shorter than the window, because n samples have n - 1 steps
     def expected(self, random: "RandomSignals") -> Expectation:
         return random.works[self.source][1] / random.timestep * (random.window - random.timestep), None
 
