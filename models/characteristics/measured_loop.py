@@ -21,7 +21,7 @@ LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
 TURN = 0.1  # a reversal of direction that is smaller than this share of the range counts as noise
 OVERLAP = 0.5  # two branches that overlap by less than this share of the range do not form a loop
 BINS = 200  # number of intervals over which each branch of a loop is averaged
-ROUNDING = 1e-9  # rounding error, relative to the largest force
+ROUNDING = 1e-9  # rounding error of a force, relative to the largest force
 
 
 def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Array, Array, str] | None:

@@ -73,7 +73,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force
     d = -d if directions["deflection"] < 0 else d
     i, j = np.argsort(v, kind="stable"), np.argsort(d, kind="stable")
-    # adding 0.0 turns -0.0 into 0.0
+    # Adding 0.0 turns -0.0 into 0.0
     return {name: (x + 0.0).tolist() for name, x in zip(NAMES, (v[i], d[j], force[np.ix_(i, j)]), strict=True)}
 
 

@@ -138,7 +138,7 @@ def serve() -> None:
     """Answers messages in the child process. The first message is the function that answers all later messages."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    with open(os.devnull, "rb") as empty, suppress(OSError):  # stderr may be closed
+    with open(os.devnull, "rb") as empty, suppress(OSError):  # an OSError is ignored, because stderr may be closed
         os.dup2(empty.fileno(), 0)
         os.dup2(2, 1)
     if not sys.warnoptions:

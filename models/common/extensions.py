@@ -226,6 +226,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         ),
     },
 }
-_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # by default, `over_runs` does not combine a metric over runs
+_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # the default `over_runs` does not combine a metric over runs
 EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
 PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

@@ -129,7 +129,7 @@ class NumberTable:
         """Yields the number of every line of numbers, counted from 1, and its cells."""
         for number, line in enumerate(self.lines[self.first :], self.first + 1):
             if self.separator != ";" and line.lstrip().startswith(";"):
-                continue  # a comment
+                continue  # a line that begins with ; is a comment
             if cells := _trim_cells(_cells(_without_comment(line), self.separator)):
                 yield number, cells
 

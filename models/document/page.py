@@ -28,7 +28,7 @@ STYLE = """<style>
 .roadproof .legend {list-style: none; padding: 0}
 .roadproof .legend .plot {width: 34px; height: 14px; vertical-align: middle; margin-right: 6px}
 </style>"""
-IN_NOTEBOOK = "\1"  # placeholder that stands in front of each identifier of an HTML fragment
+IN_NOTEBOOK = "\1"  # placeholder in front of each identifier of an HTML fragment
 # A page shows this number of statements before the first figure or table; further statements that claim nothing are collapsed
 BRIEF = 2
 

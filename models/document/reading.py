@@ -18,7 +18,7 @@ from models.document.document import Pivot, Table
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
-# no-break space, which keeps a number on the same line as its unit
+# Pattern of the space between a number and its unit, which becomes a no-break space
 UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED_SECONDS = re.compile(r"\b(m|rad)/s2\b")

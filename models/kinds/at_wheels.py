@@ -38,7 +38,7 @@ def force_effects(kind: VehicleKind, parameters: Parameters, deflections: Sequen
         by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
         push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
         outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
-    # The measured force of an actuator does not include the forces of other suspension parts.
+    # The measured force of an actuator does not include the forces of suspension parts.
     outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0
     return push, outputs
 

@@ -24,8 +24,8 @@ STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
-# Default crossover frequency of 1.9 Hz [rad/s]. It is slightly above the natural frequency of a car body; at this frequency,
-# the laws skyhook and ADD are equally good
+# Default crossover frequency [rad/s], equal to 1.9 Hz. At this frequency, which is slightly above the natural frequency of a
+# car body, the laws skyhook and ADD are equally good
 CROSSOVER = 12.0
 
 Quantity = Any  # damping coefficients: an array for many dampers, or a number for one
@@ -67,8 +67,8 @@ class LawCoefficients:
         return replace(self, modes=(damped, moved), **others)
 
 
-# Function with two arguments: LawCoefficients, and measurements of shape (N, m), or (N, 1) for a mode of the body. It returns
-# damping coefficients
+# Function that returns damping coefficients. The arguments are LawCoefficients, and then measurements of shape (N, m), or (N, 1)
+# for a mode of the body
 Law = Callable[..., Quantity]
 
 

@@ -150,7 +150,7 @@ class CoefficientRange:
             coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
         found = np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
-        for one in self.elements:  # each element is asked for the force of the whole damper
+        for one in self.elements:  # the force that is requested from each element is the force of the whole damper
             part, motion = one.at(closing, which)
             force = whole[..., one.column] + part.element.pull(*motion)
             found[..., one.column] = beyond = part.setting(force, *motion)

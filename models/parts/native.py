@@ -22,7 +22,7 @@ from models.common.errors import InputError
 # MuJoCo's Python bindings do not have type stubs.
 
 
-# this force [N] is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
+# This force [N] is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
 LARGEST_FORCE = 1e9
 MOTOR = "part_"  # this part of a motor's name stands between the prefix and the name of the tendon
 

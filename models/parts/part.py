@@ -266,7 +266,7 @@ class Part(ABC):
             tendon: tendon of the suspension.
             by_motor: True if a motor already applies the nonlinear force.
         """
-        return  # by default, nothing is written, because most parts have no input
+        return  # most parts have no input, so this default writes nothing
 
     @property
     def words(self) -> str:

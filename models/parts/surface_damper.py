@@ -26,7 +26,7 @@ class SurfaceDamper(Characteristic):
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.ratio * self.factor * self.own.along(self.ratio * v, self.ratio * d)
 
-    beyond, limits = Part.beyond, Part.limits  # the methods of `Characteristic` are valid only at deflection 0
+    beyond, limits = Part.beyond, Part.limits  # the inherited methods of `Characteristic` are valid only at deflection 0
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:

@@ -112,7 +112,7 @@ def missing(lines: Array, variances: Array) -> Array:
     rates, of_slopes, of_start = _modes(STEP)
     base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED_LINES
     turn = np.exp(way * STEP)
-    # steady-state response before sample 0, for each mode
+    # Steady-state response before sample 0, for each mode
     before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))
     averaged = (turn**base - 1) / (way * base * STEP)
     start = (turn ** (first - 1) - 1) / (way * first * STEP)

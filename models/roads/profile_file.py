@@ -59,7 +59,8 @@ BLOCK = 5.0  # positions are averaged over this length of path [m]
 # Relative amount by which noise may lengthen a path: more than the first number causes a warning, more than the second number
 # an error
 NOTABLE, NOISY = 0.01, 0.05
-# Relative difference of two lengths that causes a warning, and ratio of two lengths that causes an error
+# Two lengths of a road cause a warning if their relative difference is above the first number, and an error if their ratio is
+# above the second number
 DIFFERENT, OTHER = 0.05, 2.5
 APART = 100.0  # largest allowed difference between the heights of two tracks [m]
 # Largest change along a road of the height difference between two tracks [m], and the same change relative to the distance

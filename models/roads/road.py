@@ -21,7 +21,7 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from models.roads.spectrum import Spectrum
 
-HIGHEST = 10.0  # m
+HIGHEST = 10.0  # largest allowed height of a bump [m]
 Length = Annotated[float, SI("m", "length", 1e-3, 1e4)]
 Speed = Annotated[float, SI("m/s", "speed of the vehicle", 1e-3, 1e3)]
 Track = Annotated[str, Choice("side of the road that it is under", ("left", "right", "both"))]

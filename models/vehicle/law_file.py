@@ -14,7 +14,7 @@ from models.common.table import matlab_variables
 
 MATRICES = ("A", "B", "C", "D")
 OTHERS = {f"{name}k": name for name in MATRICES}  # names of the matrices in textbooks
-TRANSFER = ("num", "den")  # transfer function from one measurement to one force
+TRANSFER = ("num", "den")  # names of numerator and denominator of a transfer function from one measurement to one force
 PERIODS = ("Ts", "sample_period")
 # Fields of the struct that MATLAB's get(sys) returns
 DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")

@@ -140,7 +140,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             actuator.forcelimited = True
             command, force = limits.largest
             actuator.forcerange = [-force, force]
-            actuator.ctrlrange = [-command, command]  # MuJoCo would replace forces above 1e10 N by 0
+            actuator.ctrlrange = [-command, command]  # without this setting, MuJoCo would replace forces above 1e10 N by 0
         if limits.actuator_bandwidth is not None:
             # RK4 integrates the state of MuJoCo's `filter` together with the other states. The alternative `filterexact` would
             # be exact by itself, but RK4's intermediate stages would receive its output half a step late.

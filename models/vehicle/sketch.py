@@ -14,7 +14,7 @@ from models.vehicle.vehicle import Vehicle
 AXLES = ("_front", "_rear")
 # Suffixes of parameter names; parameters that differ only in these suffixes are drawn in the same row
 PAIRS = (*AXLES, "_left", "_right")
-FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # pattern of the symbol at the beginning of a parameter's meaning
+FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # pattern of the symbol with which the description of a parameter begins
 
 
 def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:

@@ -29,7 +29,7 @@ from models.common.errors import InputError, list_names
 from models.common.schema import SI
 from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 
-DECAY = 100.0  # 1/s
+DECAY = 100.0  # rate at which the additional mode of the linearisation decays [1/s]
 # The largest force of a damper is computed at the first velocity, and the largest rate of its state at the second velocity
 # [m/s]
 FAST, FASTEST = 1.0, 2.0
