@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return front(vehicle, options)
     names = [] if options.check else _names(vehicle, options)
-    # some controllers drive dampers and others drive active actuators, so the actuators of the file are kept
+    # some controllers drive dampers and others drive active actuators, so the file's actuators are used unchanged
     with suppress(InputError):
         vehicle = vehicle.with_common_actuators(names)
     if options.rates:

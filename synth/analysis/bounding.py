@@ -70,7 +70,7 @@ def certify_tightly(
         for (gamma, margin), share, strength in product(levels, ADDED_NOISE, everywhere):
             try:
                 X = step * bounding_x(loop, gamma, share * margin, strength, least_seen)
-            except (np.linalg.LinAlgError, ValueError):  # the bound is too close to the norm for the Riccati solver
+            except (np.linalg.LinAlgError, ValueError):  # the Riccati solver fails if the bound is too close to the norm
                 continue
             certificate = replace(plain, proof=prove_bound(plant, G, X, eta_of(gamma)))
             if not certificate.failures:

@@ -134,7 +134,7 @@ FASTEST = 100.0
 # slowest decay rate that is useful, as a multiple of the plant's speed: a decay over 100 days in a plant that moves within 1 s
 SLOWEST = 1e-7
 BELOW = 1e-9  # relative amount by which rounding may put a computed norm below its lower bound
-# allowed relative difference between the norms of the two methods; about 1e-12 for a well-conditioned plant
+# allowed relative difference between the norms that the two methods compute; about 1e-12 for a well-conditioned plant
 ROUTES_AGREE = 1e-6
 # allowed relative difference between the norm and the gain at the claimed peak; near a peak, the gain is flat
 PEAKS_AGREE = 1e-9

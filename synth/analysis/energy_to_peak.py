@@ -128,5 +128,5 @@ def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -
         margin[np.arange(len(c)), np.arange(len(c))] += limit.numerator * scale
         if definiteness(floats(margin, Fraction(1, scale * limit.denominator))).proved:
             return bounds, bound
-    # trace of the matrix
+    # the sum is the trace of the matrix
     return bounds, root_above(sum((Fraction(int(square[i, i]), scale) for i in range(len(c))), Fraction(0)))

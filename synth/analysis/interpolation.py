@@ -47,11 +47,11 @@ SAFE = 4.0
 # Relative distances of the proved bound below the best bound in floating point. The distances leave room for the errors of the
 # enclosures
 SHORT = (1e-9, 1e-6, 1e-3)
-TINY = 1e-60  # smallest gamma of the search; the largest is 1 / TINY
+TINY = 1e-60  # smallest gamma that the search tries; the largest is 1 / TINY
 SEED = 20261122
 # a singular value below this multiple of the largest one counts as zero, because the position of the plant's zero is rounded
 NEARLY = 1e-6
-APART = 1e-6  # if the relative distance of two zeros is smaller, only the first zero is used
+APART = 1e-6  # if the relative distance of two zeros is smaller than this, only the first zero is used
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # zeros from u to z, and zeros from w to y [rad/s]
 
@@ -72,7 +72,7 @@ class Node(NamedTuple):
     radii: tuple[float, float, float]
 
 
-@np.errstate(all="ignore")  # infinities and NaN lead to no proof
+@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
 def zero_limit(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
@@ -98,7 +98,7 @@ def zero_limit(
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
 
-@np.errstate(all="ignore")  # infinities and NaN lead to no proof
+@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     """Returns the lower bound on the norm that the zeros near the given points prove; 0 if no zero can be enclosed."""
     left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))
@@ -160,7 +160,7 @@ class _Pencil(NamedTuple):
         rate, states = scale_near(units.rate) if plant.dt is None else 1.0, units.states[side.coordinates]
         try:
             U, Q, b, c = side.floats()
-        except OverflowError:  # the entries differ by too many orders of magnitude
+        except OverflowError:  # the matrix entries differ by too many orders of magnitude
             return _EMPTY
         U, Q = U * states, Q * states / rate
         rows = np.array([scale_near(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]

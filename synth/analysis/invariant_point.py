@@ -30,7 +30,7 @@ from synth.plant.units import own_units
 PEAKS = 6  # number of local maxima from which the search is refined
 # a singular value of Gu below this multiple of the largest one counts as zero in the floating-point estimate
 NEGLIGIBLE = 1e-10
-AWAY = 1e-9  # relative distance by which a frequency is moved away from a pole on the imaginary axis
+AWAY = 1e-9  # a frequency that is a pole on the imaginary axis is moved away from the pole by this relative distance
 # factor that increases `AWAY` if the matrix is still singular at this distance, for example near a multiple pole
 FURTHER = 10.0
 ENOUGH = 1e-9  # an estimate is tried only if it exceeds the best proved bound by at least this relative amount
@@ -74,7 +74,7 @@ def limit_at(plant: Plant, omega: float) -> float:
     return proof_at(plant, omega)[0]
 
 
-@np.errstate(all="ignore")  # infinities and NaN lead to no proof
+@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
     """Returns the norm of `limit_at` and the pair (q, p) that proves it.
 

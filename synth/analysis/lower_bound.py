@@ -86,7 +86,7 @@ class LowerBound:
     reason: str = ""
 
 
-BEYOND = 1e-8  # relative change of the discrete plant that rounding may cause
+BEYOND = 1e-8  # relative change that rounding may cause in the discrete plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +168,7 @@ class _Dual:
     Y: Array
 
 
-@np.errstate(all="ignore")  # infinities and NaN lead to no proof
+@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
 def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
     """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if they are not finite.
 
@@ -289,7 +289,7 @@ def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Frac
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))
-    coupling, size = product(product(Y1.T, between.whole.T), Y2), between.over * over1 * over2  # Y1' J1 J2' Y2
+    coupling, size = product(product(Y1.T, between.whole.T), Y2), between.over * over1 * over2  # the matrix Y1' J1 J2' Y2
     lost = np.abs(first.Y).T @ between.error_bound.T @ np.abs(second.Y)
     R1, R2 = np.linalg.cholesky(first.V), np.linalg.cholesky(second.V)
     left, _, right = np.linalg.svd(R1.T @ floats(coupling, Fraction(1, size)) @ R2)

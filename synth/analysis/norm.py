@@ -34,7 +34,7 @@ from synth.plant.generalized import Plant
 # number of tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
 ZOOMS = 6
 CLOSE_ZOOMS = 8  # number of tenfold refinements with twice the precision; the gain is then accurate to 1e-16
-WITHIN = 1e-4  # frequency step for fitting a parabola to a peak, relative to the damping of the nearest pole
+WITHIN = 1e-4  # frequency step with which a parabola is fitted to a peak, relative to the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
 ALIKE = 1e-9  # the modal form may propose frequencies if its error is below this multiple of the largest gain
 
@@ -276,7 +276,7 @@ class Gain:
 
 EXACT = 1e-10  # the search ends if no gain exceeds the best gain by more than this relative amount
 REFINED_PEAKS = 2  # number of the highest peaks near poles that are refined before the first level is tested
-SEEN = 1e-9  # relative rounding error above which a norm is computed again with twice the precision
+SEEN = 1e-9  # a norm is computed again with twice the precision if its relative rounding error exceeds this
 CLEAR = 1.1  # smallest level at which the Hamiltonian matrix is well conditioned, as a multiple of the gain at infinity
 
 

@@ -83,7 +83,7 @@ class LiftedPlant:
         # No eigenvalue exceeds the norm, and the norm is fast to compute, so the norm is tried first.
         if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
             return None
-        # the matrices M - I and M Bd1 Bd1'
+        # computes the matrices M - I and M Bd1 Bd1'
         more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))
         between, reached = more[:, : len(product)], more[:, len(product) :]
         first, second = self.Ad, later.Ad

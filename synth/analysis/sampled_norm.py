@@ -132,7 +132,7 @@ def _small(root: Array) -> Array:
     return np.asarray(np.linalg.qr(root, mode="r"))
 
 
-CLOSE = 1e-11  # a gain within this relative distance of 1 counts as 1
+CLOSE = 1e-11  # a gain counts as 1 if its relative distance from 1 is smaller than this
 ROUNDS = 100  # largest number of iterations of a search; most searches need fewer than ten
 ZOOMS = 4  # number of sevenfold refinements of the interval around a peak, before the level crossings are computed
 NOTHING = 1e-15  # a gain below this multiple of the first level counts as zero

@@ -55,7 +55,7 @@ from synth.plant.units import nearest_power
 
 GROWTH = 1e-9  # a mode counts as growing if its real part, relative to |A|, exceeds this value
 AXIS = 1e-9  # a zero counts as lying on the imaginary axis if its real part, relative to the largest zero, is below this value
-STEPS = 3  # number of Newton steps
+STEPS = 3  # number of Newton steps that improve the approximation of a zero
 SAFE = 4.0  # factor on the rounding error of a sum of products
 
 
@@ -199,7 +199,7 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
     silent = Nullspace(states[n:].T)
     V, _ = without_factors(silent.complete(identity(len(silent.free))))
     while V.shape[1]:
-        staying = Nullspace(np.hstack([product(states[:n], V), V]).T)  # A V c = -V e
+        staying = Nullspace(np.hstack([product(states[:n], V), V]).T)  # the vectors [c; e] with A V c = -V e
         kept = product(V, staying.complete(identity(len(staying.free)))[: V.shape[1]])
         kept = kept[:, Nullspace(kept).independent]
         if kept.shape[1] == V.shape[1]:
@@ -212,7 +212,7 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
     return V[:, :0] if grows else V
 
 
-@np.errstate(all="ignore")  # infinities and NaN lead to no enclosure
+@np.errstate(all="ignore")  # an infinite value or NaN gives no enclosure
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
     """Returns the part of the inequality that belongs to the unstable zeros, if it can be separated.
 

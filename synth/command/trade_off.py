@@ -20,7 +20,7 @@ from synth.vehicle.trade_off.front import DESIGNS, MARKED_POINTS, Front, entry_o
 from synth.vehicle.trade_off.report import RECORD, describe, front_figure, write_csv
 
 USUAL = "I"  # default controller; the trade-off is computed with the measurements of this controller
-SHOWN_POINTS = 3  # number of points that the short table shows
+SHOWN_POINTS = 3  # number of trade-off points that the short table shows
 SAVED_NAME = "point"  # part of a saved design's name before the number, as in I_point_17
 
 

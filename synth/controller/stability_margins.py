@@ -229,7 +229,7 @@ def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
     S, size = _kronecker_sum(A, A), len(A) ** 2
     eye, zero = np.eye(size), np.zeros((size, size))
     pencil = np.block([[zero, eye], [-np.kron(identity, M), -S]]), np.block([[eye, zero], [zero, np.kron(M, identity)]])
-    with np.errstate(divide="ignore", invalid="ignore"):  # eigenvalues can be infinite, because M does not have full rank
+    with np.errstate(divide="ignore", invalid="ignore"):  # some eigenvalues are infinite if M does not have full rank
         solutions = linalg.eigvals(*pencil)
     solutions = solutions[np.isfinite(solutions)]
 

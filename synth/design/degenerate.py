@@ -97,7 +97,7 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
                 for pole, vector in zip(poles, vectors.T, strict=True)
                 if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
             ]
-        if still:  # the slowest mode is used, because rounding determines the order of the modes
+        if still:  # the slowest mode is chosen explicitly, because rounding may change the order of the modes
             at, vector = min(still, key=lambda pair: abs(pair[0]))
             where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
             return [

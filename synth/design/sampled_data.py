@@ -88,7 +88,7 @@ LARGEST_BOUNDED = 20
 # the highest level is an estimate of the norm, multiplied by a power of `FAR`; this is the number of powers that are tried
 FURTHEST = 5
 MOST_STATES = 100  # largest number of states of the discrete plant for which a descent is run; it then takes ten seconds
-CLOSE = 1e-9  # a norm within this relative distance of 1 counts as 1
+CLOSE = 1e-9  # a norm counts as 1 if its relative distance from 1 is smaller than this
 GROW = 1.05  # factor to the next level if a level has no solution; for each further level, the factor is squared
 FAR = 1e3  # ratio of the highest level that is tried to the level at which the search starts
 ROUNDS = 60  # largest number of rounds; a search usually needs about five

@@ -335,7 +335,7 @@ def boundary(here: FactoredDerivatives, step: Array) -> float:
 
 
 FASTER = 8.0  # factor by which the weight of the last unknown grows from one point of the path to the next
-CENTRES = 24  # largest number of points on the path
+CENTRES = 24  # largest number of points that are computed on the path
 CENTRE_DECREMENT = 0.1  # a point counts as a point of the path if its Newton decrement is below this
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step

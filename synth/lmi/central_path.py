@@ -59,7 +59,7 @@ DENSE = 200  # largest number of unknowns for which a dense basis is faster, bec
 # cube of this number, and the memory with its square.
 MOST = 2000
 MOST_BORDERED = 600  # largest number of unknowns for a discrete plant; its matrices are larger, and they are treated as dense
-LARGEST_Y = 10.0  # bound on |Y| in the search for a feasible point
+LARGEST_Y = 10.0  # upper bound on |Y| in the search for a feasible point
 INSIDE = 0.95  # longest predictor step, as a fraction of the distance to the boundary
 BREAKS_OFF = (
     "rounding errors stop it, as happens if only an infinite gain reaches the optimum; weight the control force more, or give "

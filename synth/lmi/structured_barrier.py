@@ -146,7 +146,7 @@ class StructuredBarrier:
     def __init__(self, constraints: Sequence[Constraint], n: int, m: int, free: int) -> None:
         self.constraints, self.shape, self.free = constraints, (n + m, n), free
         self.rows, self.columns = rows, columns = places(n, m, free)
-        self.twice = rows < n  # True for unknowns of X, which also appear below the diagonal
+        self.twice = rows < n  # True for the unknowns of X, because they also appear below the diagonal
         self.mirrored = np.where(self.twice, rows, 0), np.where(self.twice, columns, 0)
         self.weight = np.where(rows == columns, 0.5, 1.0)  # without the factor 0.5, the diagonal entries would count twice
         self.runs = _runs(n, m, free)

@@ -22,7 +22,7 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 ROUNDING = 1e-15  # relative rounding error, after a few rotations, of an entry that should be zero
-UNDRIVEN = 1e-6  # variance of a state that no disturbance reaches, relative to the mean variance of the other states
+UNDRIVEN = 1e-6  # variance that is assumed for a state without disturbance, relative to the mean variance of the other states
 
 
 @dataclass(frozen=True, eq=False)

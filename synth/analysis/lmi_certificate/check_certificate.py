@@ -18,7 +18,7 @@ KINDS = ("stability", "decay", "norm", "energy_to_peak", "lower_bound", "invaria
 
 class Matrix:
     """Matrix of rational numbers, stored as rows. A | B stacks A above B."""
-    T = property(lambda self: Matrix(zip(*self.rows, strict=True)))  # the transposed matrix
+    T = property(lambda self: Matrix(zip(*self.rows, strict=True)))  # transposes the matrix
     square = property(lambda self: sum(x * x for row in self.rows for x in row))  # sum of the squares of all entries
     def __init__(self, rows):
         self.rows = [list(row) for row in rows]

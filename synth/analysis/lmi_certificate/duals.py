@@ -19,7 +19,7 @@ from synth.plant.generalized import Plant
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))
 # relative distances below the claimed bound at which a proof is tried, in this order
 LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-ENOUGH = 1e-8  # if the proved level is within this relative distance of the claimed bound, longer numbers are not tried
+ENOUGH = 1e-8  # numbers with more bits are not tried if the proved level is within this relative distance of the claimed bound
 IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
 
 

@@ -33,7 +33,7 @@ from synth.controller.controller import AnyController
 from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, rounded_shift
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
-STILL = {"double": 1e-150, "float": 1e-30}  # velocity that replaces 0 in divisions [m/s]
+STILL = {"double": 1e-150, "float": 1e-30}  # small velocity that replaces 0 in divisions [m/s]
 # a measurement of this magnitude or larger is invalid
 LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}
 NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number of this magnitude or larger has no fractional part
@@ -216,7 +216,7 @@ def exported_law(
     law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
     L = anti_windup_gain(law) if law.anti_windup is not None and k else None
     made = ExportedLaw(**common, law=law, anti_windup=L)
-    made.fixed  # noqa: B018 - raises the errors of fixed point here
+    made.fixed  # noqa: B018 - errors of the fixed-point conversion are raised here
     return made
 
 

@@ -361,8 +361,8 @@ class Landscape:
         shifted = np.broadcast_to(-loop.A, (len(cuts.omega), n, n)).astype(complex)
         shifted[:, np.arange(n), np.arange(n)] += 1j * cuts.omega[:, None]
         adjoint = cuts.u.conj()
-        driven = np.linalg.solve(shifted, (cuts.v @ loop.Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
-        seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ loop.C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
+        driven = np.linalg.solve(shifted, (cuts.v @ loop.Bw.T)[:, :, None])[:, :, 0]  # the vector (j omega - A)^-1 Bw v
+        seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ loop.C)[:, :, None])[:, :, 0]  # row u' C (j omega - A)^-1
         values = np.real(np.sum(adjoint * (driven @ loop.C.T + cuts.v @ loop.Dw.T), axis=1))
         measured = driven @ loop.Cy.T + cuts.v @ loop.Dyw.T
         slopes = np.real((seen @ loop.B + adjoint @ loop.D)[:, :, None] * measured[:, None, :])
@@ -391,7 +391,7 @@ class Landscape:
         slide = np.concatenate([-1j * (left @ (right @ v)), (-1j * (adjoint @ left @ right)).conj().swapaxes(1, 2)], axis=1)
         first = np.concatenate([along.reshape(-1, d, size), back.reshape(-1, r, size)], axis=1)
         first = np.concatenate([first, slide], axis=2) / np.sqrt(2)
-        # Second derivatives of u' T v.
+        # Second derivatives of u' T v with respect to the entries of x and omega.
         second = np.zeros((len(omega), size + 1, size + 1))
         twice = np.einsum("fi,fjk,fl->fijkl", seen, Ty, driven) * self.scale[:, :, None, None] * self.scale
         twice = np.real(twice.reshape(-1, self.scale.size, self.scale.size))
@@ -424,7 +424,10 @@ class Landscape:
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
         gains = self._gains(modes, omega)
-        around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # the gain is an even function of frequency
+        around = np.concatenate(
+            [[gains[min(1, len(gains) - 1)]], gains, [0.0]]
+            # the gain is the same at positive and negative frequencies
+        )
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]

@@ -32,7 +32,7 @@ from synth.plant.numerics import up_to_rounding
 # the descent has stalled if a function with values near one decreases by less than this over seven rounds
 STALLED_DECREASE = 1e-4
 
-STAGE = 30  # number of rounds in a stage
+STAGE = 30  # number of rounds in a stage of the descent
 WORTH_A_STAGE = 3e-5  # another stage follows only if the norm decreased by at least this relative amount in the last stage
 ENDING_DECREASE = 1e-5  # a stage ends if the norm decreases by less than this relative amount over `OVER` rounds
 
@@ -448,7 +448,7 @@ def _non_negative(matrix: Array, target: Array) -> Array:
     """Solves a non-negative least-squares problem with a matrix of shape (N, k). Returns the solution, shape (k,)."""
     try:
         return optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])[0]
-    except (ValueError, RuntimeError) as error:  # the input is not finite, or the iteration does not end
+    except (ValueError, RuntimeError) as error:  # the input is not finite, or the iteration does not converge
         raise np.linalg.LinAlgError(str(error)) from error
 
 

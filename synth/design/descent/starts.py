@@ -41,7 +41,7 @@ WIDE = 30  # with more states than this, fewer random gains are drawn, so that c
 FEWEST = 20  # smallest number of random gains
 CLOSER = 24  # number of stabilising gains in each decade for which the norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call
-SPREAD = 1.5  # number of decades by which the scale of an input or of a measurement varies, upwards and downwards
+SPREAD = 1.5  # scales of inputs and measurements are varied by this many decades, upwards and downwards
 SEED = 20261121
 
 

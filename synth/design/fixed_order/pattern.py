@@ -67,7 +67,7 @@ def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
         return _on_filters(structure, rows, plant)
     each, count = structure.order, len(rows)
     k = each * count
-    owner = np.repeat(np.arange(count), each)  # force to which each state of the law contributes
+    owner = np.repeat(np.arange(count), each)  # index of the force to which each state of the law contributes
     own = np.equal.outer(owner, owner)
     if structure.rows is None:
         free = np.ones((m + k, q + k), dtype=bool)

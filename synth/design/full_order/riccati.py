@@ -237,7 +237,7 @@ WITHIN = 1e-3  # the search ends if the relative distance of the norm above the 
 # Shares: power of the added noise relative to the disturbance of the states, and added cost relative to the weight of the
 # states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
-STATES = 0.1  # additional disturbance and additional weight of all states, as a multiple of the share
+STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the added share of noise and cost
 # After the first share that is sufficient, these multiples of the share are also tried
 AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
 # relative amounts by which gamma may exceed the required norm, because the actual norm is often smaller than gamma
@@ -252,11 +252,11 @@ SAME = 1e-6  # states of a law are omitted only if the norm rises by less than t
 CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
 GRAIN = 2.0**-14  # step to which `_coarse` rounds the base-2 logarithm of a number
 PARTS = (1.0, 0.1)  # the poles of a law that exceed one of these multiples of `much` are removed
-OWN_PART = 0.3  # otherwise, the poles above this multiple of the law's own speed are removed
+OWN_PART = 0.3  # in a further trial, the poles above this multiple of the law's own speed are removed
 # above the speed `much`, a law may be ten times as fast only if its norm decreases by at least this relative amount
 PRICE = 1e-3
 HALVINGS = 4  # number of bisections between two shares that bring the law close to a speed limit
-ROUNDING_OF_GAIN = 1e-8  # relative rounding error of the gain at one frequency
+ROUNDING_OF_GAIN = 1e-8  # relative rounding error of a gain that is computed at one frequency
 SMALLEST, LARGEST = 1e-6, 1e9  # smallest and largest gamma, in units in which the largest entries of the plant are one
 
 

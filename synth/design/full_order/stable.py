@@ -24,7 +24,7 @@ from synth.plant.generalized import Plant, gain_law, law_gain
 # values of gamma that are tried, relative to the lower bound; a smaller gamma gives a faster law with a norm closer to the
 # bound
 GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)
-STARTS = 2  # number of laws from which a descent starts
+STARTS = 2  # number of designed laws from which a descent starts
 LIGHTLY = 1e-3  # weight of the law's own states in the second plant, relative to the norm in internal units
 LARGER = 10.0  # largest allowed entry of the law, relative to the largest entry at the start of the descent
 

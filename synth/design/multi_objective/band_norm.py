@@ -124,7 +124,7 @@ class BandLandscape(Landscape):
             mask = np.imag(poles) >= 0
             left, right = left[:, mask].conj().T, right[:, mask].T
         along = np.sum(left * right, axis=1)
-        along = np.where(along == 0, np.finfo(float).tiny, along)  # the derivative is infinite where poles meet
+        along = np.where(along == 0, np.finfo(float).tiny, along)  # the derivative is infinite where two poles coincide
         driven, seen = left @ loop.B[own], right @ loop.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
         return np.real(poles[mask]), slopes.reshape(len(slopes), -1)

@@ -212,7 +212,7 @@ class MultiObjectiveProblem(CheckedFields):
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 
-TIGHTER = 1e-7  # relative margin by which bounds are tightened, to allow for rounding
+TIGHTER = 1e-7  # relative amount by which bounds are tightened, to allow for rounding
 # The required decay rate is raised by this relative amount if the gain has errors. At the required rate itself, nothing can be
 # proved for a whole box of errors
 AND_FOR_ERRORS = 0.02

@@ -46,7 +46,7 @@ UNSTABLE = (
     "no static gain was found that stabilises every loop of the goals; give a smaller tolerance, fewer vehicles, or more "
     "signals and entries of the gain"
 )
-RANK = 30.0  # weight of a violated bound in the rank of a starting point
+RANK = 30.0  # weight of a violated bound when the starting points are ranked
 
 
 class MinimaxSearch:

@@ -17,7 +17,7 @@ NOT_STABLE = 1e6  # value that replaces a bound if the loop is unstable
 # Largest number of gain errors for which all vertices of the box are tried. With more errors, 2^8 random vertices are tried to
 # find the slowest pole
 CORNERS = 8
-INSIDE = 64  # number of points inside the box that are tried
+INSIDE = 64  # number of random points inside the box of gain errors that are tried
 SEED = 20261122
 
 

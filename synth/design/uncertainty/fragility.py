@@ -73,10 +73,10 @@ SIZES = (0.05, 0.25, 1.0)
 EXACT = 1e-10  # relative accuracy of the size of a gain error along a ray
 WITHIN = 1e-3  # relative amount by which a box is made smaller before it is searched for gain errors with the same effect
 TURNS = 4  # the search for smaller gain errors is repeated at most this many times
-# Relative amounts by which a box is smaller than the smallest harmful gain errors. A proof of stability is tried for each of
-# these boxes
+# A proof of stability is tried for boxes that are smaller, by these relative amounts, than the smallest gain errors that were
+# found to make the loop unstable
 CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
-# the same relative amounts, for boxes in which a bound on the norm is to be proved
+# the corresponding relative amounts for boxes in which a bound on the norm is to be proved
 CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
 LOOSELY = 4.0  # a proof of stability proves a bound of this multiple of the largest norm that was found in the box
 

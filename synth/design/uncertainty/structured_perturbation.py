@@ -32,7 +32,7 @@ BEYOND = (
     1e-7,
     1e-5,
     1e-3,
-)  # relative amounts by which the errors are enlarged, because rounding may keep a pole off the imaginary axis
+)  # relative amounts by which the gain errors are enlarged, because rounding may keep a pole off the imaginary axis
 
 
 @dataclass(frozen=True, eq=False)

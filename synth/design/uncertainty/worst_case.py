@@ -166,7 +166,7 @@ def norm_at(gain: ScaledGain, factors: Array) -> float:
     return hinf_norm(loop).value
 
 
-JOIN = 4  # number of corners that are added in each round
+JOIN = 4  # number of corners of the box that are added in each round
 
 
 def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | None:
