@@ -62,8 +62,8 @@ def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
     controllers: dict[str, dict[str, AnyController]] = {}
     drawn: dict[str, dict[str, list[AnyController]]] = {}
     for name, vehicle in campaign.vehicles.items():
-        # All controllers share one designer, so that solutions of the Riccati equation (22) and lower bounds are computed only
-        # once
+        # All controllers of a vehicle share one designer, so that the solutions of the LMI problem (22) and the lower bounds
+        # are computed only once
         designer = Designer(vehicle, search=False)
         controllers[name] = {one: _restore_controller(designer, one, gains[name][one]) for one in campaign.controllers}
         laws = campaign.variants[name].items()

@@ -28,8 +28,9 @@ RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16
 # smallest number of consecutive runs in a part of a campaign; parts are smaller only if the campaign has too few runs
 TOGETHER = 64
-MOST_ROUNDS = 64  # largest number of intervals of consecutive runs in each part
-Runs = Sequence[tuple[int, int]]  # ascending intervals (start, stop) of run numbers; `stop` is not included
+MOST_ROUNDS = 64  # each part of a campaign has at most this many intervals of consecutive runs
+# ascending intervals (start, stop) of run numbers; run `stop` itself is not part of its interval
+Runs = Sequence[tuple[int, int]]
 
 
 @dataclass(frozen=True)

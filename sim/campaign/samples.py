@@ -24,7 +24,7 @@ METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
 WIDEST = 3.0  # normal distributions are truncated at this many standard deviations
 
-Values = Mapping[str, float]  # sampled values by name
+Values = Mapping[str, float]  # maps the name of each sampled quantity to its value
 
 
 @dataclass(frozen=True)

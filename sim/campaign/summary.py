@@ -271,7 +271,7 @@ def _remarks(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     return said
 
 
-CONSTANT = 25  # number of constant dampers that are simulated to draw their line in the figure
+CONSTANT = 25  # number of constant dampers whose points form the line in the figure
 # smallest damping coefficient of a constant damper, relative to c_max; a softer damper would not be used in practice
 SOFTEST = 0.02
 ACROSS, UP = "load", "ride"

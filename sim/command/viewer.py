@@ -77,7 +77,7 @@ def serve_viewer(recording: Path) -> None:
     command = [*_command(), "--serve-web", *ports, str(recording)]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM has the same effect as Ctrl-C
-    process = subprocess.Popen(  # the viewer runs in a new session, so that Ctrl-C does not reach it
+    process = subprocess.Popen(  # the viewer runs in its own session, so that it does not receive Ctrl-C
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
     try:

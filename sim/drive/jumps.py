@@ -76,7 +76,7 @@ class Jumps:
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)
         D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # shape (p, m, N)
-        # Jump of each signal per newton of each force, shape (N, 1).
+        # Change of each signal when a force jumps by one newton, shape (N, 1).
         self.shares = {
             name: {
                 force: D[outputs.index(name), j][:, None]

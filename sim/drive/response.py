@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 SAME_VALUE = 1e-9  # largest difference, relative to a signal's peak, that counts as rounding
-SILENT = 1e-3  # smallest scale of a signal, relative to the largest signal with the same unit
+SILENT = 1e-3  # smallest scale that a signal can have, relative to the largest signal with the same unit
 # size relative to displacements or their rates; if angles times 1 m are smaller, they are rounding errors of a symmetrical
 # vehicle
 STILL = 1e-6

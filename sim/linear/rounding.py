@@ -14,7 +14,8 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController
 
-LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; over roads of 1e-9 m, the largest error observed in 20000 steps was 5e-16 m
+# rounding error in m or rad; over roads of 1e-9 m, the largest error observed in 20000 steps was 5e-16 m
+LENGTH = 16 * float(np.finfo(float).eps)
 LENGTHS = ("m", "rad")
 RATES = 400  # number of frequencies at which the gain of a law is evaluated
 

@@ -67,7 +67,8 @@ if TYPE_CHECKING:
 # Largest residual if no force has a kink, divided by (step times the vehicle's fastest rate)^4. Random vehicles of every type
 # reach 0.02 over bumps and random roads with steps from 0.5 to 4 ms, and 0.07 with 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
-NEAR = 0.95  # share of the distance to a kink above which a tyre or a suspension may reach the kink within a step
+# a tyre or a suspension may reach a kink within a step if it has covered more than this share of the distance to the kink
+NEAR = 0.95
 AT_ONCE = 4096  # number of states that are evaluated together
 
 

@@ -9,7 +9,7 @@ from models.document.text import ShownResult, facts
 
 WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # difference of a signal, relative to the signal's peak
-ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # allowed difference of a check
+ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # largest difference with which a check is passed
 JOULES = Field[float]("energy", float, ".5g", unit="J")
 # Largest residual of an energy balance, relative to the turnover, if a force has a kink. RK4 then causes residuals of 5e-5 at 1
 # ms and 6e-4 at 4 ms for every built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes a residual

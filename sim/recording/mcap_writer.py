@@ -26,7 +26,7 @@ PACKAGE = "roadproof"
 
 
 Schema = tuple[str, str, bytes]  # name, encoding and data of a schema
-# A channel: topic, schema, metadata, times [ns] and messages
+# A channel consists of topic, schema, metadata, times [ns] and messages
 Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]
 
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 TIMELINE = "time"
 
 ROOM = 1.15  # half of a diagram's width, relative to the largest value
-GROUND = 13  # red, green and blue of Rerun's background
+GROUND = 13  # brightness of red, green and blue in Rerun's background
 READ = 4000  # largest number of characters of one metadata value that a page shows; enough for a gain from 45 states
 
 # Shape and colour of the marker of each event, by the event's text; no curve has one of these colours. A cross marks any other

@@ -49,7 +49,8 @@ FRAMES = 60  # frames of the recorded motion per second
 LONGEST = 60  # largest number of letters that the name of a log takes from the vehicle file's name
 
 BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start, and ahead of the first wheel at the end [m]
-SPACING, MOST = 0.05, 20_000  # spacing of the points of a profile [m], and largest number of points apart from those under wheels
+# spacing of the points of a road profile [m], and largest number of its points, apart from those under wheels
+SPACING, MOST = 0.05, 20_000
 
 
 def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:

@@ -23,7 +23,8 @@ from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
-FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from below the body's natural frequency to above the wheel's natural frequency
+# Hz; the range begins below the natural frequency of the body and ends above that of the wheel
+FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)
 
 
 def design_section(scope: Subject) -> Document:

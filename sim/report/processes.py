@@ -45,7 +45,7 @@ class Processes:
     def __exit__(self, kind: object, *error: object) -> None:
         if self._pool is None:
             return
-        if kind is not None:  # after an error, the results are not needed
+        if kind is not None:  # an error occurred, so the results are not needed
             for child in multiprocessing.active_children():
                 child.terminate()
         self._pool.shutdown(cancel_futures=True)

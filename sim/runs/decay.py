@@ -17,7 +17,7 @@ from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states
 from sim.runs.result import RunResult
 
-PER_PERIOD = 8  # samples per period of the vehicle's fastest mode
+PER_PERIOD = 8  # number of samples in each period of the vehicle's fastest mode
 LATER = 3  # number of successive samples in one block; a block also contains the effect of states that are not signals
 SMALLEST = 1e-6  # smaller singular values, relative to the largest one, are removed
 SHARE = 0.01  # smallest share of the decay's energy with which a mode is reported

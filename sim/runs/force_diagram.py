@@ -17,7 +17,7 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
 
-PREFIX = "suspension_deflection"  # prefix of the names of suspensions in the built-in vehicle types
+PREFIX = "suspension_deflection"  # names of suspensions begin with this text in the built-in vehicle types
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from synth.controller.law_margins import law_margins
 from synth.controller.report import BOUND, GROWTH, NORM, PEAK
 
 SIZE = Field[float]("size", float, ".5g")  # peak or rms of a signal
-SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # peak and rms of a signal of a run
+SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # fields for the peak and the rms of a signal in a run
     Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form, key=name.lower())
     for what in ("peak", "rms")
     for name, source in {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}.items()

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 RK4_REACH = 2.7  # RK4 counts as stable for a first-order lag if rate times step is at most this; the exact limit is 2.785
 MOST_SAMPLES = 1_000_000  # largest number of samples in a run; such a run takes 0.4 GB and half a minute
-STIFF = 1e-4  # s; no vehicle in SI units needs a shorter time step
+STIFF = 1e-4  # s; a vehicle that needs a shorter time step is probably not given in SI units
 
 
 @dataclass(frozen=True, eq=False, repr=False)

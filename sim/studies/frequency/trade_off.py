@@ -100,7 +100,7 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
     road = settled_sinusoid(*whole_periods(omega, step), AMPLITUDE, step, 12.5)
     try:
         (run,) = drive_periodic(vehicle, [controller], [road], step)
-    except InputError:  # the run would have too many samples
+    except InputError:  # this error means that the run would have too many samples
         return math.nan
     return settled_gain(vehicle, run.last_periods(), road.omega[0])
 

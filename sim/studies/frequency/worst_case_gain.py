@@ -152,7 +152,7 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
     """Returns numbers of periods and samples, like `whole_periods`, with a frequency close enough to a narrow peak."""
-    # The periods must also contain an integer number of the controller's samples
+    # The number of controller samples in the whole periods must also be an integer
     steps = steps_per_sample(vehicle.implementation, timestep)
     finest = math.ceil(FINEST / steps)
     periods, count = whole_periods(worst.omega, timestep * steps, finest)

@@ -385,8 +385,8 @@ class Estimate:
             return {}
         N = np.array([[one.powers.get(name, 0.0) for one in self.directions] for name in (*self.free, *self.held)])
         own, held = N[: len(self.free)], N[len(self.free) :]
-        # A vehicle's own parameters are shares @ held, so log(own parameters) - shares @ log(held parameters) is the same for
-        # any held values
+        # The powers fulfil own = shares @ held, so log(free parameters) - shares @ log(held parameters) is the same for any
+        # held values
         shares = np.linalg.solve(held.T, own.T).T
         return {
             name: {name: 1.0, **{other: -_tidy(share) for other, share in zip(self.held, row, strict=True) if _tidy(share)}}

@@ -19,10 +19,10 @@ from sim.studies.identification.identification import changed, free_parameters
 from sim.studies.identification.log_map import LogMap
 from sim.studies.identification.prediction import LogPrediction
 
-RESERVE = 0.8  # share of the static tyre compression and of the suspension travel that the motion may use
+RESERVE = 0.8  # the motion may use this share of the static tyre compression and of the suspension travel
 DURATIONS = (10.0, 30.0, 60.0)  # durations of a test to choose from [s]
 BANDS = ((0.5, 5.0), (0.5, 20.0), (2.0, 20.0))  # frequency bands to choose from [Hz]
-LARGEST = 0.05  # m, largest amplitude of a post of the rig
+LARGEST = 0.05  # m, largest amplitude with which a post of the rig moves
 TRAVEL = 0.06  # m, assumed suspension travel in each direction
 STEP = 0.005  # s, time step of the planned motion
 APART = 0.3  # relative difference between the frequencies at which two posts start

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sim.studies.recommend.result import Recommendation
 
 QUICK = 0.1  # share of the usual number of candidates that --quick evaluates
-LONGEST_RUN = 16.0  # s, time in which a random road does not repeat itself
+LONGEST_RUN = 16.0  # s, longest time for which a random road does not repeat itself
 
 
 class RecommendStudy(Study["Recommendation"]):

@@ -315,7 +315,7 @@ class Meter:
         dampers = {name: tyre for one in damped for name, tyre in one.items()}
         times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in dampers}
         self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in dampers.items()}
-        # Coefficients of each angle by index of the signal, shape (N,).
+        # Coefficients with which each signal contributes to an angle, by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
             angle: {names.index(name): np.array([one[angle][name] for one in angles]) for name in parts}

@@ -52,7 +52,7 @@ def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
     for k in range(delay):
         moved[k + 1] = moved[k] @ Phi
     seen = G @ moved[:-1]  # requested force per unit of the state k samples earlier, shape (delay, m, n)
-    pushed = moved[-2::-1] @ Gamma  # state at the end per unit of force in step k, shape (delay, n, m)
+    pushed = moved[-2::-1] @ Gamma  # state after the delay per unit of force in step k, shape (delay, n, m)
     length = 2 ** (2 * delay - 1).bit_length()  # length from which the circular convolution does not wrap around
     # Requested force per unit of a force that acted k samples earlier.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)

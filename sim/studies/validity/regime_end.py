@@ -29,7 +29,7 @@ from synth.controller.controller import Controller
 
 WITHIN = 1.001  # MuJoCo simulates the predicted height divided by this factor, and multiplied by it
 NEAR = 1.03  # because bodies rotate, another limit may be reached first if its height is within this factor
-FURTHEST = 4.0  # highest bump to try, relative to the predicted height
+FURTHEST = 4.0  # largest bump height to try, relative to the predicted height
 ROUNDS = 8  # largest number of times that MuJoCo runs are repeated at other heights
 ANALYSES = (
     20  # largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit

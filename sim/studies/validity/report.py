@@ -46,7 +46,7 @@ VALIDITY = (
     Field[Cells]("as predicted", lambda cells: cells.agreement, "{:.2f} %".format, 100.0),
     Field[Cells]("of the others not at a boundary", lambda cells: cells.unexplained, ".0f"),
 )
-RUN_HEIGHT = Field[float]("height", float, ".5g")  # enough digits to repeat the run
+RUN_HEIGHT = Field[float]("height", float, ".5g")  # the height has enough digits to repeat the run
 THRESHOLD = Field[Cells]("threshold", lambda cells: cells.threshold, "g", 100.0, unit="%")
 ENDS: tuple[Field[OneEnd], ...] = (
     Field("controller", lambda of: of[0].name),
