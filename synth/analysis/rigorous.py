@@ -130,7 +130,7 @@ class Nullspace:
         Phi = zeros(self._rows.shape[1], values.shape[1])
         Phi[self.free] = self._last * values * (self._shift.max(initial=1) // self._shift[self.free])[:, None]
         for row, j in zip(self._rows[::-1], self.pivots[::-1], strict=True):
-            Phi[j] = -product(row[None], Phi)[0] // row[j]  # by Cramer's rule, this division has no remainder
+            Phi[j] = -product(row[None], Phi)[0] // row[j]  # this division has no remainder, by Cramer's rule
         return Phi * self._shift[:, None]
 
 

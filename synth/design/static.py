@@ -40,7 +40,8 @@ from synth.plant.units import size
 # Number of decades of gain magnitude. If at least this many decades contain stable random gains, a few stabilising starts are
 # enough
 ENOUGH_SAMPLES = 4
-# Number of stabilising starts: if there are enough stable random gains, if there are too few, and if no start is stable
+# Numbers of stabilising starts. The first is used after enough stable random gains were found, the second after too few, and
+# the third after no stable start was found
 FEW, MANY, MOST = 2, 6, 18
 LARGE = 30  # for a plant with more states, stabilising starts take minutes, so they are used only if no other start is stable
 ALL = 100  # upper limit on the number of starts, which is never reached

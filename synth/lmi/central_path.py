@@ -46,7 +46,7 @@ LIMIT = 1e-9
 """Value of mu / eta at which the path ends. For the paper's problem, the gains are then within 3e-6 of the limit."""
 
 
-# Newton decrement at the points of the path. It is small enough for the dual solutions that prove lower bounds
+# Newton decrement at the points of the path, chosen so small that the dual solutions prove lower bounds
 CENTRE_DECREMENT = 1e-6
 # values of mu / eta for which points of the path are computed
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))

@@ -101,7 +101,7 @@ def solve_sdp(problem: Any) -> None:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the warning "may be inaccurate" says the same as the status
+            warnings.simplefilter("ignore")  # the warning "may be inaccurate" repeats the status
             problem.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise DesignError(

@@ -22,7 +22,9 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 ROUNDING = 1e-15  # relative rounding error, after a few rotations, of an entry that should be zero
-UNDRIVEN = 1e-6  # variance that is assumed for a state without disturbance, relative to the mean variance of the other states
+# variance that is added to the unobservable states, relative to the mean variance; a disturbance may not reach all of
+# these states
+UNDRIVEN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,8 +108,8 @@ def _directions(generator: np.random.Generator, count: int, shape: tuple[int, in
     return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
-# Costs that are added to every state and every force, relative to z. They are tried in turn so that the Riccati equation has a
-# solution
+# Costs that are added to every state and every force, relative to z. These costs are tried in turn so that the Riccati
+# equation has a solution
 COUNTS = (1e-8, 1e-4, 1e-2)
 # power of a disturbance that is added to every state, relative to the power of w, because w may not affect all states
 EVERYWHERE = 1e-6
