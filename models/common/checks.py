@@ -159,7 +159,7 @@ def accept_former_names(**names: str) -> Callable[[F], F]:
 
     def decorate(one: F) -> F:
         if not isinstance(one, type):
-            one.former_names = names  # the function `check_arguments` reads this attribute
+            one.__dict__["former_names"] = names  # the function `check_arguments` reads this attribute
             return one
         init = one.__init__
 

@@ -78,7 +78,7 @@ def in_mujoco(experiment: Experiment) -> Residuals:
         mujoco.mj_setConst(model, data)
         spec = mujoco.mjtState.mjSTATE_MOCAP_POS
         _, sensors = mujoco.rollout.rollout(model, data, start[None], road[None], control_spec=int(spec))
-        return over_noise(experiment, sensors[0][:, places])  # as read before each step
+        return over_noise(experiment, np.asarray(sensors)[0][:, places])  # as read before each step
 
     return residuals
 
@@ -91,7 +91,7 @@ def by_solve_ivp(experiment: Experiment) -> Residuals:
         m_u, k, c, k_t = (P[name] * factor for name, factor in zip(NAMES, factors, strict=True))
         m_s = P["sprung_mass"]
 
-        def rate(t: float, x: Array) -> list[Array]:
+        def rate(t: float | Array, x: Array) -> list[Array]:
             force = k * (x[0] - x[1]) + c * (x[2] - x[3])
             return [x[2], x[3], -force / m_s, (force - k_t * (x[1] - np.interp(t, times, experiment.road[:, 0]))) / m_u]
 

@@ -124,7 +124,9 @@ def test_geometry_and_ranges_have_their_words():
     for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "exceeds its range on this road, and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
-        assert words in prose(" ".join([*code_notes(run.agreement.code_effect, vehicle), *(one.text for one in reasons(run))]))
+        effect = run.agreement.code_effect
+        assert effect is not None
+        assert words in prose(" ".join([*code_notes(effect, vehicle), *(one.text for one in reasons(run))]))
 
 
 @pytest.fixture(scope="module")

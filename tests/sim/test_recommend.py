@@ -223,6 +223,8 @@ def test_no_gain_is_below_the_lower_bound(delay):
     """Held gains on a sensor without noise have at least the bound, by covariances over small steps; at once, one is near it."""
     plant, period, steps = GeneralizedPlant(**OSCILLATOR).measured([[0, 1]]), 0.5, 100
     parts, rms, unit = hold_intervals(period, delay), list[float](), np.eye(5)
+    move: Any
+    output: Any
     F = np.block([[plant.A, plant.B], [np.zeros((1, 3))]])
     move, noise = linalg.block_diag(linalg.expm(F * period / steps), np.eye(2)), np.diag([0.0, period / steps, 0.0, 0.0, 0.0])
     output = np.hstack([plant.C, plant.D, np.zeros((2, 2))])

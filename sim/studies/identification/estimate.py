@@ -691,6 +691,6 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
         if above < 0:
             ends.append(None)
             continue
-        shift = brentq(excess, low, high, xtol=1e-2 * deviation, rtol=np.float64(1e-4))
+        shift: Any = brentq(excess, low, high, xtol=1e-2 * deviation, rtol=np.float64(1e-4))
         ends.append(own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift)))
     return ends[0], ends[1]

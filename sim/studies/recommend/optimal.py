@@ -103,7 +103,7 @@ def design(
     bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
     if preview:  # preview needs measurements of all states, but no sensor measures the states of a filter
         car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
-        request = DesignRequest(design=method, preview=preview)
+        request = DesignRequest(design=str(method), preview=preview)
         entry = ControllerEntry(name, tuple(measured), request, hardware=DesignConditions(bandwidth=bandwidth))
         return replace(Designer(replace(car, controllers={name: entry}), search=False).design(name), hardware=own_hardware(task))
     loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
