@@ -306,7 +306,7 @@ def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     if one.agrees:
         return Statement(f"{subject} {what}, to {error} of a peak")
     allowed = ALLOWED_DIFFERENCE.digits(one.allowed)
-    return Statement(f"{subject} {what}: largest error {error} of a peak ({one.signal}), {allowed} is allowed", "fails")
+    return Statement(f"{subject} {what}: largest error {error} of a peak ({one.signal}); at most {allowed} is allowed", "fails")
 
 
 def _distance(run: RunResult) -> Iterator[Statement]:
@@ -369,7 +369,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
         why = "the timestep is too coarse, or MuJoCo applies a force that the vehicle does not have"
-        more = f"{of} is neither stored nor dissipated, {ALLOWED.cell(energy)} is allowed"
+        more = f"{of} is neither stored nor dissipated, but at most {ALLOWED.cell(energy)} is allowed"
         yield Statement(f"energy DOES NOT BALANCE: {more}: {why}", "fails")
 
 
