@@ -11,11 +11,11 @@
   the part of the force without this feedback. With sampling or any delay, each computed force contains H times the previous
   force. The force grows if the spectral radius of H is 1 or more.
 - The *margins* describe the ideal loop, cut at all actuators at once. The ideal loop is continuous, without `[limits]` and
-    `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor closest to 1 that
-    makes the loop unstable when it multiplies all forces. If H has a positive eigenvalue h, the gain margin is at most 1 / h.
-  A gain margin
-  is small if it is between 1 / `LEAST_GAIN` and `LEAST_GAIN`; a disk margin is small if it is below `LEAST_DISK`. (Skogestad,
-  Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` also computes the margins of each actuator.
+  `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor closest to 1 that
+  makes the loop unstable when it multiplies all forces. If H has a positive eigenvalue h, the gain margin is at most 1 / h. A
+  gain margin is small if it is between 1 / `LEAST_GAIN` and `LEAST_GAIN`; a disk margin is small if it is below `LEAST_DISK`.
+  (Skogestad, Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` also computes the margins of each
+  actuator.
 """
 
 import math
