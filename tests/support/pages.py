@@ -37,6 +37,7 @@ LIGHTER = {
     "sim.bump --vehicle models/gallery/simulink_half_car": "--duration 0.5 --no-logs",
     "sim.bump --controller I --height": "--duration 0.5 --no-logs",
     "sim.bump --controller I --controller II": "--no-logs",
+    "sim recommend": "--quick",  # a tenth of the candidates
     "sim.drive --controller I": "--no-logs",
     "sim.drive --controller passive": "--duration 1 --no-logs",  # a shorter stretch of the same road
     "sim.drive --vehicle full_car": "--duration 0.5",
