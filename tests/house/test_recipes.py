@@ -17,7 +17,7 @@ from tests.support.pages import ROOT, copied, page, sections
 
 EXTENSIONS = "models/common/extensions.py"
 KNOWN = read_vehicle("quarter_car").controller_names
-MARK = "\n\n# By their names on a command line"
+MARK = "\n\n# Types of road, with the names"
 
 # Runs `python -m sim` several times in one process, and prints the exit code and the output of each, or what went to stderr.
 CALLS = """
