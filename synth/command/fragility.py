@@ -65,8 +65,8 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     ]
     kind = f" ({kinds.pop()})" if len(kinds) == 1 and all(kinds) else ""
     text = (
-        f"Errors of all signals: the largest that are proved harmless{kind}, then the smallest that were found harmful. "
-        "int16, float16: the norm after rounding the law."
+        f"Errors of all signals: the largest proved harmless{kind}, then the smallest found harmful. "
+        "int16, float16: norm of the rounded law."
     )
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
