@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -55,9 +54,6 @@ from synth.controller.report import (
     study_notes,
 )
 from synth.controller.report import notes as controller_remarks
-
-if TYPE_CHECKING:
-    pass
 
 INVALID_EQUATIONS = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"

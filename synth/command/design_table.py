@@ -35,7 +35,7 @@ FREE = "limits for every controller"
 MORE = "-v explains the columns and prints poles, notes and laws."
 # These options print their own results instead of gains and rides
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
-FLAT = 1e-4  # relative increase of gamma that is allowed; the table shows how far each gain may change within this increase
+FLAT = 1e-4  # relative increase of gamma that is allowed; `--json` contains how far each gain may change within this increase
 # a ride is called worse if it exceeds the passive ride by more than this factor; rounding in the table hides smaller
 # differences
 WORSE = 1.005

@@ -186,11 +186,10 @@ def statements(of: Identification) -> Iterator[Statement]:
         largest = at_most(max(estimate.noiseless.values()))
         words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
         yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms, so there is no noise to test.", "holds")
-    if {*estimate.noiseless} == {*estimate.problem.signals}:
-        pass
-    elif estimate.white:
+    noisy = {*estimate.problem.signals} - {*estimate.noiseless}
+    if noisy and estimate.white:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
-    else:
+    elif noisy:
         yield Statement(
             "The residuals are not white: the vehicle lacks something that the logs contain. The intervals account for "
             "coloured residuals, but they cannot account for a bias.",
