@@ -405,8 +405,8 @@ class _Signals:
         physical = values[:, self.physical]
         largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
         overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(law_states).all(axis=2)))
-        # MuJoCo continues with a force of 0 in place of a force above 1e10. Requested forces are therefore checked, unless a
-        # limit clips them.
+        # MuJoCo replaces a force above 1e10 by 0 and continues. Requested forces are therefore checked, unless a limit clips
+        # them.
         for force, given in zip(np.moveaxis(commands, 2, 0), self.unclipped, strict=False):
             largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
         return largest, overflowed

@@ -29,7 +29,7 @@ FACTORS: Mapping[float, str] = {
     1000.0: "in thousandths of its unit, such as mm",
     0.001: "in thousands of its unit, such as km",
     1 / 9.80665: "in g instead of m/s2",
-    9.80665: "in m/s2 although its unit says g",
+    9.80665: "in m/s2 although its unit is g",
     57.29577951308232: "in degrees",
     39.37007874015748: "in inches",
     100.0: "in hundredths of its unit, such as cm",
