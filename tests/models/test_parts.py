@@ -350,9 +350,9 @@ def label(one) -> str:
     return one if isinstance(one, str) else "+".join(one)
 
 
-def in_suite(*some):
+def in_suite(*some, of=EVERY):
     """Parametrises a test with all cases, of which some are in the suite and the others for the attacks alone."""
-    return pytest.mark.parametrize(("kind", "names", "ratio"), in_the_suite(some, EVERY), ids=label)
+    return pytest.mark.parametrize(("kind", "names", "ratio"), in_the_suite(some, of), ids=label)
 
 
 # All rows at all ratios, and each on a larger car, of which each has all ratios.
@@ -364,7 +364,8 @@ steps = in_suite(*OVER_TRAVEL, *CONSTANT_RATIO, *LARGER, *BESIDE[4::36])  # as `
 of_energy = in_suite(*OVER_TRAVEL, *(("quarter_car", (name,), "constant") for name in FOR_ALL if not ROWS[name].rate), TOGETHER)
 ONE_EACH = [("quarter_car", (name,), RATIOS[i % 3]) for i, name in enumerate(FOR_ALL)]
 SIDE_BY_SIDE = {*ONE_EACH, OVER_TRAVEL[-1], TOGETHER, ("full_car", ("surface damper",), "constant")}
-some_runs = in_suite(*SIDE_BY_SIDE)
+# Whole runs of four cars are dear: each part at each ratio on the quarter-car and on a larger car, and a ninth of the pairs.
+some_runs = in_suite(*SIDE_BY_SIDE, of=list(dict.fromkeys([*ON_QUARTER, *LARGER, *SIDE_BY_SIDE, *BESIDE[::9]])))
 
 
 def ratios_at(ratio: str, end: str) -> tuple[list[float], list[float]]:
