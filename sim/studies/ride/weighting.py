@@ -70,7 +70,7 @@ class SampledWk:
             memory: memory after the previous samples, as returned; None before the first sample.
 
         Returns:
-            Weighted signals, shape (N, T), and the last samples of the signals with the states of the four filters, shape (N, 16).
+            Weighted signals, shape (N, T), and the last samples of the signals with the states of the filters, shape (N, 16).
         """
         count, taps = self.numerators.shape
         memory = np.zeros((len(signals), taps - 1 + 2 * count)) if memory is None else memory
