@@ -52,7 +52,7 @@ class Registry(dict[str, str]):
 
 
 _STANDARD = "sim.studies.ride.kinds.standard"
-_FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
+_FREQUENCY, _VALIDITY = "sim.studies.frequency.study", "sim.studies.validity.study"
 _RECOMMEND = "sim.studies.recommend.command"
 _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
     "part": {  # the values are classes, see `models.parts.part`
@@ -205,7 +205,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "response": "sim.report.agreement:ResponseStudy",
         "agreement": "sim.report.agreement:AgreementStudy",
         "ends": f"{_VALIDITY}:EndsStudy",
-        "margins": ("sim.studies.stability.command:MarginsStudy", "find the gain, delay and sample-period margins", "--picture"),
+        "margins": ("sim.studies.stability.study:MarginsStudy", "find the gain, delay and sample-period margins", "--picture"),
         "envelope": (f"{_VALIDITY}:EnvelopeStudy", "map the bumps over which linear analysis is valid", "--vary --picture --csv"),
         "recommend": (
             f"{_RECOMMEND}:RecommendStudy",
@@ -216,7 +216,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "workshop": f"{_FREQUENCY}:WorkshopStudy",
         "loads": "sim.studies.ride.loads:LoadsStudy",
         "exported": "sim.report.exported:ExportedStudy",
-        "front": f"{_FREQUENCY}:FrontStudy",
+        "front": "sim.studies.frequency.trade_off:FrontStudy",
         "paper": "sim.report.designs:PaperStudy",
         "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
         "identify": (

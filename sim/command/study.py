@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from models.common.command import Parser, chosen_controllers, one_chosen, print_json, print_remarks
 from models.common.extensions import STUDIES
+from models.common.lazy import resolve_name
 from models.common.printed import Stages, say
 from sim.studies.command_name import command_of
 from sim.studies.study import StudyRequest
@@ -26,10 +27,12 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: an option, the vehicle file or an output file is invalid, or the study does not support a controller.
     """
-    one = STUDIES.load(name)(name)
-    parser = Parser(command_of(name), one.description, one.epilog, one.page)
-    one.add_options(parser)
-    options = parser.parse_args(arguments)
+    # Options in a module of their own are a base class: `command:MarginsCommand` is that of `study:MarginsStudy`
+    own = STUDIES[name].replace(".study:", ".command:")
+    command = (STUDIES.load(name) if own == STUDIES[name] else resolve_name(f"{own.removesuffix('Study')}Command"))(name)
+    parser = Parser(command_of(name), command.description, command.epilog, command.page)
+    command.add_options(parser)
+    options, one = parser.parse_args(arguments), STUDIES.load(name)(name)
     from models.document.outputs import check_outputs, output_paths, written_lines
     from models.vehicle.names import named_files
     from sim.command.comparison import left_out_object, log_lines, record_command_runs, warn_invalid_certificates

@@ -1,7 +1,7 @@
 """Cases to simulate (vehicle, controller and road), and a batch of cases that are simulated together."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -121,23 +121,6 @@ class Batch:
     def drivers(self) -> list[RunDriver]:
         """Controller, or known commands, of each case."""
         return [one.driver for one in self.cases]
-
-    def part(self, runs: slice) -> "Batch":
-        """Returns the batch with some of the runs."""
-        arrays = {name: getattr(self, name)[:, runs] for name in ("now", "midway", "beyond")}
-        more = {name: None if (one := getattr(self, name)) is None else one[:, runs] for name in ("velocities", "held_inputs")}
-        return replace(
-            self,
-            cases=self.cases[runs],
-            inputs=self.inputs[runs],
-            effects=None if self.effects is None else (self.effects[0][:, runs], self.effects[1][:, runs]),
-            sides={k: heights[runs] for k, heights in self.sides.items()},
-            numbers=self.numbers[runs],
-            diverged=self.diverged[runs],
-            law_diverged=self.law_diverged[runs],
-            **arrays,
-            **more,
-        )
 
     def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
         """Yields the index of every run that starts in steady motion, with its steady signals, shape (B, S)."""

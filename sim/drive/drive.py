@@ -77,14 +77,12 @@ def drive(
         StoppedError: `stopped` returned True.
     """
     results: list[dict[int, Any]] = [{} for _ in observers]
-    for numbers in _together(cases, float(time[1] - time[0])):
-        batch = batch_of([cases[i] for i in numbers], time, numbers, streamed, failures)
-        loop, edges = Loop(batch), [0, len(time)]
-        if streamed:
-            edges = [*range(0, len(time), BLOCK), len(time)]
-        serial = any(one.serial for one in batch.drivers)
-        shares = _shares(len(numbers), 1 if serial else threads or cores())
-        parts = [batch] if len(shares) == 1 else [batch.part(runs) for runs in shares]
+    timestep, edges = float(time[1] - time[0]), [*range(0, len(time), BLOCK if streamed else len(time)), len(time)]
+    for numbers in _together(cases, timestep):
+        loop = Loop([cases[i] for i in numbers], timestep)
+        serial = any(cases[i].driver.serial for i in numbers)
+        shares = [numbers[runs] for runs in _shares(len(numbers), 1 if serial else threads or cores())]
+        parts = [batch_of([cases[i] for i in some], time, some, streamed, failures) for some in shares]
         pieces = [functools.partial(_results_of, loop, part, edges, observers) for part in parts]
         if len(pieces) == 1:
             done = [(0, pieces[0](stopped))]

@@ -127,12 +127,11 @@ class Loop:
     number of runs.
     """
 
-    def __init__(self, batch: Batch) -> None:
-        """Prepares the data that all parts of a batch share."""
-        first, timestep = batch.vehicles[0], batch.timestep
+    def __init__(self, cases: Sequence[Case], timestep: float) -> None:
+        """Prepares the data that all batches of some cases share."""
         self.timestep = timestep
-        self.model, self.readout = prepared_readout(first, timestep)
-        distinct = {id(other): other for other in batch.vehicles}
+        self.model, self.readout = prepared_readout(cases[0].vehicle, timestep)
+        distinct = {id(one.vehicle): one.vehicle for one in cases}
         self.hardware, self.models = dict[int, tuple[object, ...]](), dict[tuple[object, ...], mujoco.MjModel]()
         if len(distinct) > 1:
             self.hardware = {key: hardware(other) for key, other in distinct.items()}
@@ -142,7 +141,7 @@ class Loop:
         # A signal is measured before a step. A signal that is linear in the state is computed from the state; any other is read
         # from its sensor. The contribution of the road is added where the state or the sensor does not include it.
         readout = self.readout
-        controllers = [one for case in batch.cases for one in (case.driver, case.undelayed_controller) if one is not None]
+        controllers = [one for case in cases for one in (case.driver, case.undelayed_controller) if one is not None]
         named = {name for one in controllers for name in one.measured}
         self.seen = [i for i, name in enumerate(readout.names) if name in named]
         self.stage = sensed_stage(readout, np.isin(readout.names, [*named]))

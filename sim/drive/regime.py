@@ -227,31 +227,6 @@ LAW_OVERFLOW = "law overflow"
 LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law requests no finite force"
 
 
-def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
-    """Returns a response's largest value relative to each limit of `REGIME_ENDS`, shape (..., E); 0 if there is no limit.
-
-    Args:
-        anti_windup: True if clipped demands on the actuators end the linear regime, see `EndDetector`.
-    """
-    columns, times = [], response.time
-    way, interval = _way_and_interval(vehicle, float(times[1] - times[0]) if len(times) > 1 else 0.0, True)
-    for end in REGIME_ENDS:
-        share = np.zeros(response.values.shape[:-2])
-        for limit in end.thresholds(vehicle):
-            values = limit.of(response)
-            if limit.of_rate:
-                values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # the forces before the first sample are zero
-                share = np.maximum(share, np.fmax.reduce(np.abs(command_rates(values, way, interval)), axis=-1) / limit.value)
-                continue
-            share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
-            demanded = anti_windup or vehicle.limits.limits_commands
-            if demanded and way and end is SATURATION and limit.signal not in vehicle.dampers:
-                demand = values[..., :-1] + np.diff(values, axis=-1) / way
-                share = np.maximum(share, limit.towards(demand).max(axis=-1) / limit.value)
-        columns.append(share)
-    return np.stack(columns, axis=-1)
-
-
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
     """Returns the share of the distance to the command that a lagging force covers in a step, and the sample period [s].
 
@@ -297,6 +272,7 @@ class EndDetector:
 
     Attributes:
         times: first time of each end [s], shape (N, E); infinity if it is not reached.
+        shares: largest value relative to the limit of each end, shape (N, E); 0 if there is no limit.
     """
 
     def __init__(
@@ -312,6 +288,7 @@ class EndDetector:
             anti_windup: True for each run whose law has anti-windup, N values; None if no law has anti-windup.
         """
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
+        self.shares = np.zeros_like(self.times)
         h = float(time[1] - time[0]) if len(time) > 1 else 0.0
         flags = [False] * len(vehicles) if anti_windup is None else anti_windup
         self.lags = np.array([_way_and_interval(one, h, predicted) for one in vehicles]).T
@@ -331,13 +308,7 @@ class EndDetector:
         once = {id(vehicle): vehicle for vehicle in vehicles}  # one entry per vehicle, because most runs share one
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
-            (
-                end,
-                limits[0],
-                self.places[limits[0].signal],
-                AT * np.array([limit.value for limit in limits]),
-                reading(limits),
-            )
+            (end, limits[0], self.places[limits[0].signal], np.array([limit.value for limit in limits]), reading(limits))
             for end in range(len(REGIME_ENDS))
             for limits in zip(*(thresholds[id(vehicle)][end] for vehicle in vehicles), strict=True)
         ]
@@ -346,16 +317,6 @@ class EndDetector:
     def first(self) -> Array:
         """Time of the first end [s], shape (N,)."""
         return self.times.min(axis=1)
-
-    @property
-    def which(self) -> Array:
-        """First end as an index into `REGIME_ENDS`, shape (N,); -1 if there is no end."""
-        return first_end(self.times)
-
-    @property
-    def flat(self) -> Array:
-        """Time at which a tyre is first fully compressed, regardless of earlier ends [s], shape (N,)."""
-        return self.times[:, REGIME_ENDS.index(FLAT)]
 
     def update(self, start: int, values: Array) -> None:
         """Receives the block of signals that begins at sample `start`, shape (B, S, N)."""
@@ -366,11 +327,11 @@ class EndDetector:
             towards = threshold.towards(read(lambda name: values[:, self.places[name]]))
             if REGIME_ENDS[end] is FLAT and signal in self.road:
                 towards = np.maximum(towards, self._risen(signal, values))
-            self._note(end, start, towards >= limit)
+            self._note(end, start, towards, limit)
             if REGIME_ENDS[end] is SATURATION and threshold.signal in self.pushing and self.way.any():
                 demands = self._demands(signal, values)
                 # From the second block on, the first demand belongs to the last sample of the previous block.
-                self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
+                self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands), limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
         """Records the first sample at which a command's rate reaches its limit, shape (N,) [N/s]."""
@@ -379,18 +340,22 @@ class EndDetector:
         self.before[signal] = forces[:, -2:]
         # The first rate belongs to the last sample before the block; at the start of the run, the rate is 0.
         rates = np.abs(command_rates(forces, *self.lags)).T
-        self._note(end, start - 1, rates >= RATE_REACHED * limit)
+        self._note(end, start - 1, rates, limit, RATE_REACHED)
 
-    def _note(self, end: int, start: int, beyond: Array) -> None:
-        """Records the first sample of each run that exceeds a limit.
+    def _note(self, end: int, start: int, towards: Array, limit: Array, at: float = AT) -> None:
+        """Records the largest value of each run, and the first sample that reaches a limit.
 
         Args:
             end: index of the end.
             start: index of the first sample.
-            beyond: True for samples beyond the limit, shape (B, N).
+            towards: values in the direction of the limit, shape (B, N).
+            limit: limit in every run, shape (N,).
+            at: share of the limit at which the limit counts as reached.
         """
-        hit = np.flatnonzero(beyond.any(axis=0))
-        when = self.samples[start + beyond[:, hit].argmax(axis=0)]
+        largest = np.fmax.reduce(towards, axis=0, initial=0.0)
+        self.shares[:, end] = np.maximum(self.shares[:, end], largest / limit)
+        hit = np.flatnonzero(largest >= at * limit)
+        when = self.samples[start + (towards[:, hit] >= at * limit[hit]).argmax(axis=0)]
         self.times[hit, end] = np.minimum(self.times[hit, end], when)
 
     @np.errstate(over="ignore", invalid="ignore")  # signals of runs that have diverged may overflow
@@ -412,20 +377,33 @@ class EndDetector:
         return np.where(hub - before > JUMP, road - before, -np.inf)
 
 
+def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup: bool) -> EndDetector:
+    """Returns the detector after all samples of a response, whose leading axes are runs."""
+    runs = response.values.reshape(-1, *response.values.shape[-2:])
+    detector = EndDetector([vehicle] * len(runs), response.time, predicted, [anti_windup] * len(runs))
+    detector.update(0, np.moveaxis(runs, 0, 2))
+    return detector
+
+
 def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which a simulated response first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity.
 
     Leading axes are runs. `anti_windup` is True if their law has anti-windup.
     """
-    leading, whole = response.values.shape[:-2], response.values.shape[-2:]
-    runs = response.values.reshape(-1, *whole)
-    detector = EndDetector([vehicle] * len(runs), response.time, anti_windup=[anti_windup] * len(runs))
-    detector.update(0, np.moveaxis(runs, 0, 2))
-    return detector.times.reshape(*leading, len(REGIME_ENDS))
+    return _detected(vehicle, response, False, anti_windup).times.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
 
 
-def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> Array:
-    """Returns the time at which a linear response times each of N factors reaches each of `REGIME_ENDS` [s], shape (N, E).
+def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
+    """Returns a response's largest value relative to each limit of `REGIME_ENDS`, shape (..., E); 0 if there is no limit.
+
+    Args:
+        anti_windup: True if clipped demands on the actuators end the linear regime, see `EndDetector`.
+    """
+    return _detected(vehicle, response, True, anti_windup).shares.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
+
+
+def scaled(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> EndDetector:
+    """Returns the detector after all samples of a linear response times each of N factors.
 
     Args:
         factors: factors for the road height, negative for a hole; shape (N,).
@@ -434,7 +412,7 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_wi
     detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))
     for start in range(0, len(response.time), BLOCK):
         detector.update(start, response.values[start : start + BLOCK, :, None] * factors)
-    return detector.times
+    return detector
 
 
 def first_end(times: Array) -> Array:

@@ -204,11 +204,6 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
         """Returns the terms of d that enter and leave the preview window at given times, shape (T, k)."""
         return met(t) - met(t + T) @ later.T
 
-    def back(push: Callable[[Array], Array], left: float, right: float, start: float) -> Array:
-        """Returns the integral of exp(Ap (t - start)) push(t) from left to right, shape (k,)."""
-        piece = _convolution(preview.A, lambda t: push(left + right - t), np.array([left]), right - left)[0]
-        return linalg.expm(preview.A * (left - start)) @ piece
-
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     after = time[-1] + h * np.arange(whole)  # sample times between the end of the run and the end of the preview
     drive, ahead, end = np.zeros((count, len(A))), np.zeros((count, len(preview.A))), np.zeros((len(after), len(preview.A)))
@@ -218,24 +213,18 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
         drive += weight * come @ P.T @ linalg.expm(A * (h - s)).T
         ahead += weight * come @ linalg.expm(preview.A * s).T
         end += weight * known[count - 1 : count - 1 + whole] @ linalg.expm(preview.A * s).T
-    for cuts, start, push, given in (
-        (_cut_steps(np.concatenate([kinks, kinks - T]), time, h), time, change, ahead),
-        (_cut_steps(kinks, after, h), after, met, end),
-    ):
-        steps = [k for k, _ in cuts]
-        if len(cuts) > FEW:
-            given[steps] = _many_pieces(preview.A, push, cuts, h, backward=True)
-        else:
-            for k, edges in cuts:
-                given[k] = sum(back(push, left, right, start[k]) for left, right in itertools.pairwise(edges))
-        if given is ahead:
-            drive[steps] = _at_cuts(A, lambda t: change(t) @ P.T, cuts, h)
+    cuts, beyond = _cut_steps(np.concatenate([kinks, kinks - T]), time, h), _cut_steps(kinks, after, h)
+    steps = [k for k, _ in cuts]
+    drive[steps] = _over_pieces(A, lambda t: change(t) @ P.T, cuts, h)
+    ahead[steps] = _over_pieces(preview.A, change, cuts, h, backward=True)
+    end[[k for k, _ in beyond]] = _over_pieces(preview.A, met, beyond, h, backward=True)
     Phi = linalg.expm(preview.A * h)
     last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
     if not in_steps:  # the preview ends inside a step, not at its end
         left, right = time[-1] + whole * h, time[-1] + T
         edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
-        last = last + sum(back(met, *pair, time[-1]) for pair in itertools.pairwise(edges))
+        (rest,) = _over_pieces(preview.A, met, [(0, edges)], h, backward=True)
+        last = last + linalg.expm(preview.A * (whole * h)) @ rest
     ahead = _recursion_from(last, Phi, ahead[-2::-1])[::-1]
     if road.jumps:
         drive += _leaps(A, P @ preview.B, road_input) - _leaps(A, P @ later @ preview.B, road_input, T)
@@ -287,32 +276,22 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
     """
     h = float(time[1] - time[0])
     forcing, cuts = _convolution(A, push, time, h), _cut_steps(kinks, time, h)
-    forcing[[k for k, _ in cuts]] = _at_cuts(A, push, cuts, h)
+    forcing[[k for k, _ in cuts]] = _over_pieces(A, push, cuts, h)
     return forcing
 
 
-# Largest number of divided steps for which matrix exponentials are computed for each step; if there are more, as on a measured
-# road, the exponentials are interpolated
-FEW = 64
-
-
-def _at_cuts(A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int, list[float]]]", h: float) -> Array:
-    """Returns the contribution of push(t) over each of the divided steps, see `_pieces`, shape (K, n)."""
-    if len(cuts) > FEW:
-        return _many_pieces(A, push, cuts, h)
-    return np.array([_pieces(A, push, edges) for _, edges in cuts]).reshape(len(cuts), len(A))
-
-
-def _many_pieces(
-    A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int, list[float]]]", h: float, backward: bool = False
+def _over_pieces(
+    A: Array, push: Callable[[Array], Array], cuts: Sequence[tuple[int, list[float]]], h: float, backward: bool = False
 ) -> Array:
-    """Returns the integral of exp(A (end - t)) push(t) over each step, shape (K, n).
+    """Returns the integral of exp(A (end - t)) push(t) over each of the divided steps, shape (K, n).
 
     If `backward` is True, the integrand is exp(A (t - start)) push(t).
 
     The exponential within a step is approximated by a Chebyshev polynomial of degree 15, which is exact up to rounding for
     every step at which RK4 is stable.
     """
+    if not cuts:
+        return np.zeros((0, len(A)))
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     pieces = np.array(
         [(i, left, right, edges[0], edges[-1]) for i, (_, edges) in enumerate(cuts) for left, right in itertools.pairwise(edges)]
@@ -323,7 +302,7 @@ def _many_pieces(
     pushed = (half * weights).ravel()[:, None] * push(t.ravel())
     way = (t - start[:, None] if backward else end[:, None] - t).ravel()
     at = np.cos(np.pi * (np.arange(CHEBYSHEV) + 0.5) / CHEBYSHEV)  # Chebyshev nodes between -1 and 1, the range of 2 way / h - 1
-    known = np.stack([linalg.expm(A * (h * (1 + x) / 2)) for x in at]).reshape(CHEBYSHEV, -1)
+    known = linalg.expm(A * (h * (1 + at) / 2)[:, None, None]).reshape(CHEBYSHEV, -1)
     shares = np.linalg.solve(np.polynomial.chebyshev.chebvander(at, CHEBYSHEV - 1), known).reshape(CHEBYSHEV, *A.shape)
     basis = np.polynomial.chebyshev.chebvander(2 * way / h - 1, CHEBYSHEV - 1)
     total = np.zeros((len(cuts), A.shape[0]))
@@ -343,14 +322,6 @@ def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[floa
             start, end = time[k], time[k] + h
             found.append((int(k), [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]))
     return found
-
-
-def _pieces(A: Array, push: Callable[[Array], Array], edges: Sequence[float]) -> Array:
-    """Returns the contribution of push(t) to x' = A x + push(t) from the first to the last of the given times, shape (n,)."""
-    total = np.zeros(len(A))
-    for left, right in itertools.pairwise(edges):
-        total += linalg.expm(A * (edges[-1] - right)) @ _convolution(A, push, np.array([left]), right - left)[0]
-    return total
 
 
 def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:

@@ -20,7 +20,7 @@ factor.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -161,14 +161,13 @@ class LinearComparison:
         return done
 
 
-@dataclass(frozen=True, repr=False)
-class Agreement(ShownResult):
-    """Verdict on one run.
+@dataclass(frozen=True, eq=False, repr=False)
+class Agreement(LinearComparison, ShownResult):
+    """Verdict on one run: differences from linear analysis, as long as it applies, and checks of steps and commands.
 
     Attributes:
         lift_off: intervals in which a tyre is off the ground [s].
         end_times: first time of each of `REGIME_ENDS` by name [s]; infinite if it does not occur.
-        linear: differences from linear analysis, as long as it applies.
         steps: comparison of all steps with the vehicle's exact equations, even after `until`; None if the vehicle has no
             equations.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
@@ -176,9 +175,8 @@ class Agreement(ShownResult):
         code_effect: difference between exported code and the law, which must be small; None if there is no exported code.
     """
 
-    lift_off: tuple[tuple[float, float], ...]
-    end_times: Mapping[str, float]
-    linear: LinearComparison
+    lift_off: tuple[tuple[float, float], ...] = ()
+    end_times: Mapping[str, float] = field(default_factory=dict[str, float])
     steps: StepAgreement | None = None
     commands: CommandAgreement | None = None
     code_effect: "CodeEffect | None" = None
@@ -191,26 +189,6 @@ class Agreement(ShownResult):
         return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
 
     @property
-    def signals(self) -> Mapping[str, SignalAgreement]:
-        """Differences of each output signal from linear analysis, by name."""
-        return self.linear.signals
-
-    @property
-    def until(self) -> float:
-        """Time until which linear analysis applies [s]; infinite if it applies to the whole run."""
-        return self.linear.until
-
-    @property
-    def cause(self) -> str:
-        """Text that states the largest cause of the differences from linear analysis."""
-        return self.linear.cause
-
-    @property
-    def coarse(self) -> bool:
-        """True if the time step is too coarse for accurate results, according to the error of RK4 in the linear response."""
-        return self.linear.coarse
-
-    @property
     def agrees(self) -> bool:
         """True if all known checks of steps and commands hold, and at least something was compared."""
         checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
@@ -220,7 +198,7 @@ class Agreement(ShownResult):
     @property
     def follows_linear(self) -> bool:
         """False if the steps of a run cannot be checked and the run differs from the linear response; otherwise True."""
-        return self.steps is not None or self.linear.agrees
+        return self.steps is not None or super().agrees
 
     @property
     def equations_invalid(self) -> bool:
@@ -257,8 +235,8 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
             until = min(until, steps.until)
     if not prediction.replayed and (compare_commands := OBSERVERS.load_if_known("commands")) is not None:
         commands = compare_commands(prediction.controller, road, recording)
-    linear = LinearComparison(prediction, physics, until)
-    return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, code_effect)
+    lifted = lift_off_intervals(vehicle, physics)
+    return Agreement(prediction, physics, until, None, lifted, ended, steps, commands, code_effect)
 
 
 def _passes_through(vehicle: Vehicle, physics: Response) -> bool:

@@ -178,9 +178,7 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
             SMALL,
         )
         for k, i in enumerate(unknown):
-            agreement = runs[i].agreement
-            linear = replace(agreement.linear, small=made[k].response)
-            runs[i] = replace(runs[i], agreement=replace(agreement, linear=linear))
+            runs[i] = replace(runs[i], agreement=replace(runs[i].agreement, small=made[k].response))
     return runs
 
 

@@ -1,7 +1,8 @@
 """Interface of a study. A study defines a computation and the output of its result.
 
-A study becomes a command or a part of the report by a row in `models.common.extensions`. The module of a study imports other
-modules inside its methods, so that help pages appear without delay.
+A study becomes a command or a part of the report by a row in `models.common.extensions`. Help pages must appear without delay.
+The module of a study therefore imports other modules inside its methods. For a study in a module `study`, texts and options are
+instead a base class in a module `command` next to it, such as `MarginsCommand` for `MarginsStudy`.
 """
 
 from argparse import Namespace

@@ -159,7 +159,7 @@ identification from measured logs                              3315    527    21
     sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1332    371     35
-    sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
+    sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*,study}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
 MuJoCo loop                                                    2980   1100      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py

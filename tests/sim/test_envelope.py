@@ -21,7 +21,7 @@ from sim.drive.regime import (
     END_NAMES,
     FLAT,
     REGIME_ENDS,
-    scaled_reached,
+    scaled,
     utilisation,
 )
 from sim.envelope import main
@@ -243,7 +243,7 @@ def test_a_tyre_is_flat_when_it_is(paper, designer):
     bumps = [Bump(height, length) for height in (0.3, 0.5, 0.7, 1.0, 2.0, 5.0) for length in (0.5, 1.5, 5.0)]
     for bump in bumps:
         (run,) = run_controllers(paper, [designer.design("I")], bump, time)
-        linear = scaled_reached(paper, run.sampled, np.ones(1))[0, REGIME_ENDS.index(FLAT)]
+        linear = scaled(paper, run.sampled, np.ones(1)).times[0, REGIME_ENDS.index(FLAT)]
         others = min(when for name, when in run.agreement.end_times.items() if name != FLAT.name)
         found = run.agreement.end_times[FLAT.name]
         if min(linear, found) < others:

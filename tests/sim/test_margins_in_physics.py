@@ -16,8 +16,8 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.margins import main
 from sim.studies.stability.edge import StabilityEdge, search_and_run, smallest_unstable
 from sim.studies.stability.margin_search import GainMargin, LoopMargins, find_margins, searches
+from sim.studies.stability.margins import StabilityMargins
 from sim.studies.stability.report import LOOP, MARGINS, _loop_rows
-from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of
 from synth.controller.sample_period_margin import largest_sample_period

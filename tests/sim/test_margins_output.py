@@ -11,8 +11,8 @@ from models.common.printed import LINES
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle
 from sim.margins import main
+from sim.studies.stability.margins import stability_margins
 from sim.studies.stability.report import _rows, loop_texts, number
-from sim.studies.stability.study import stability_margins
 from synth import design_controllers
 
 

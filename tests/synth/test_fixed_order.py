@@ -14,7 +14,7 @@ from models.laws.design_request import LawStructure
 from models.laws.law_structure import pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.studies.stability.command import check_loop
+from sim.studies.stability.study import check_loop
 from synth.analysis.certificate import FASTEST
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm

@@ -1,48 +1,14 @@
 """The study of frequency responses (Fig. 3 of the paper), with largest gains and the H-infinity norm, measured in MuJoCo."""
 
-from argparse import Namespace
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
 from models.common.command import Parser
-from models.common.errors import InputError
-from models.common.printed import title_lines
-from sim.studies.study import Progress, Study, StudyRequest
-
-if TYPE_CHECKING:
-    from models.document.document import Document
-    from models.document.figure import Figure
-    from sim.runs.run import Run
-    from sim.studies.frequency.describing_function import DescribingFunction
-    from sim.studies.frequency.identification import Lines
-    from sim.studies.frequency.sweep import Sweep
-    from sim.studies.subject import Subject
+from sim.studies.study import Study
 
 
-@dataclass(frozen=True, eq=False)
-class Responses:
-    """Result of the study.
-
-    Attributes:
-        lines: frequency responses of the linear controllers.
-        sweeps: sweeps of the linear controllers; empty if only frequency responses were measured.
-        own: describing functions of the nonlinear laws.
-    """
-
-    lines: "Sequence[Lines]"
-    sweeps: "Sequence[Sweep]"
-    own: "Sequence[DescribingFunction]"
-
-    def each(self, names: Sequence[str]) -> "list[Sweep | DescribingFunction]":
-        """Returns the results of all controllers in the order of their names."""
-        return sorted([*self.sweeps, *self.own], key=lambda one: names.index(one.controller.name))
-
-
-class SweepStudy(Study[Responses]):
-    """Study of the frequency responses and largest gains of controllers."""
+class SweepCommand(Study):
+    """Texts and options of `sim.studies.frequency.study.SweepStudy`."""
 
     description = "Measure frequency responses in MuJoCo and compare them with linear analysis."
     epilog = """
@@ -75,126 +41,3 @@ examples:
             "--picture", type=Path, metavar="FILE", help="draw the responses (.png, .svg or .pdf); needs matplotlib"
         )
         parser.add_printed("invariants, sampled norms and EUSAMA's minimum loads")
-
-    def check(self, request: StudyRequest) -> None:
-        options, vehicle = request.options, request.vehicle
-        if not 1e-3 <= options.speed <= 1e3:
-            raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
-        if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
-            raise InputError(f"--speed affects only rear wheels, but a {vehicle.kind.name} has no rear wheels; omit --speed")
-
-    def run(self, request: StudyRequest, progress: Progress) -> Responses:
-        from sim.linear.nonlinear_elements import at_rest
-        from sim.studies.frequency.describing_function import describing_function
-        from sim.studies.frequency.identification import measure_responses
-        from sim.studies.frequency.sweep import OWN, sweep
-
-        vehicle, options = request.vehicle, request.options
-        how = options.amplitude, options.timestep, options.speed
-        linear = [one for one in request.controllers if one.linear is True]
-        if getattr(options, "lines_alone", False):
-            return Responses(measure_responses(at_rest(vehicle), linear, *how) if linear else [], [], [])
-        sweeps = sweep(vehicle, linear, *how, progress) if linear else []
-        progress(OWN)
-        own = [describing_function(vehicle, one, *how) for one in request.controllers if not one.linear]
-        return Responses([one.lines for one in sweeps], sweeps, own)
-
-    def describe(self, request: StudyRequest, result: Responses) -> "Document":
-        from sim.studies.frequency.report import describe
-
-        options = request.options
-        return describe(request.vehicle, result.lines, result.sweeps, result.own, options.amplitude, options.timestep)
-
-    def record(self, request: StudyRequest, result: Responses) -> dict[str, Any]:
-        from sim.studies.frequency.sweep import record
-
-        options = {key: getattr(request.options, key) for key in ("amplitude", "timestep", "speed")}
-        return {"sweeps": [record(one) for one in result.each(request.names)], **options}
-
-    def lines(self, request: StudyRequest, result: Responses, files: Sequence[str]) -> list[str]:
-        from models.document.document import Table
-        from models.document.text import text_lines
-        from sim.studies.frequency.report import workshop
-
-        vehicle, verbose, document = request.vehicle, request.options.verbose, self.describe(request, result)
-        shown = [one for one in document.blocks if not (isinstance(one, Table) and one.name == "signals")]
-        _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose else "normal")
-        if verbose and result.sweeps:
-            lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
-        elif result.sweeps:
-            lines.append("  -v adds invariants, norms and EUSAMA's minimum loads")
-        return [*title_lines(f"{document.title} of {vehicle.kind.name}", vehicle.source), *lines, *files]
-
-    def holds(self, result: Responses) -> bool:
-        from sim.studies.frequency.sweep import holds
-
-        return all(map(holds, (*result.sweeps, *result.own)))
-
-    def figure(self, request: StudyRequest, result: Responses) -> "Figure":
-        from models.document.figure import styles
-        from sim.studies.frequency.figure import sweep_figure
-
-        options = request.options
-        known = getattr(options, "styles", None) or styles(tuple(request.names))
-        return sweep_figure(request.vehicle, result.lines, options.timestep, options.speed, known, result.own)
-
-    def runs(self, request: StudyRequest, result: Responses) -> "dict[str, Run]":
-        """Returns the runs of all controllers over their worst sinusoid, starting from equilibrium."""
-        from models.roads.sinusoids import sinusoid
-        from sim.runs.run import run_controllers, sample_times
-        from sim.studies.frequency.identification import ideal_measurements
-        from sim.studies.frequency.worst_case_gain import DURATION
-
-        vehicle, options, runs = ideal_measurements(request.vehicle), request.options, {}
-        time = sample_times(vehicle, DURATION, options.timestep)
-        for one in result.each(request.names):
-            road = sinusoid(one.worst_omega, options.speed).scaled(options.amplitude / 2)
-            (runs[one.controller.name],) = run_controllers(vehicle, [one.controller], road, time)
-        return runs
-
-    def requests(self, scope: "Subject") -> Mapping[str, StudyRequest]:
-        controllers = scope.stable if scope.quick else [*scope.stable, *scope.laws]
-        return {"": self._request(scope, controllers)} if controllers else {}
-
-    def _request(self, scope: "Subject", controllers: Sequence[Any]) -> StudyRequest:
-        from sim.studies.subject import AMPLITUDE
-
-        how = {"amplitude": AMPLITUDE, "timestep": scope.timestep, "speed": scope.speed, "styles": scope.styles}
-        return StudyRequest(Namespace(**how, lines_alone=scope.quick), scope.vehicle, (), controllers)
-
-    def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
-        request = self._request(scope, ())
-        return [
-            replace(section, blocks=(self.figure(request, found), *section.blocks))
-            for found in results[self.name].values()
-            for section in [self.describe(request, found)]
-        ]
-
-
-class WorkshopStudy(Study[None]):
-    """Study that adds the section about the EUSAMA test to a report. `SweepStudy` computes its results."""
-
-    def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
-        from sim.studies.frequency.report import workshop
-
-        return [workshop(scope.vehicle, one.sweeps) for one in results.get("sweep", {}).values() if one.sweeps]
-
-
-class FrontStudy(Study["Document"]):
-    """Study that adds a trade-off between objectives to a report, with MuJoCo runs of some designs."""
-
-    seconds = 30.0
-
-    def check_page(self, scope: "Subject") -> None:
-        if scope.front is not None:
-            from sim.studies.frequency.trade_off import check_front
-
-            check_front(scope.vehicle, scope.front)
-
-    def requests(self, scope: "Subject") -> "Mapping[str, Subject]":
-        return {} if scope.front is None else {"": scope}
-
-    def run(self, request: "Subject", progress: Progress) -> "Document":
-        from sim.studies.frequency.trade_off import front_section
-
-        return front_section(request, progress)

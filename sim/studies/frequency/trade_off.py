@@ -1,7 +1,7 @@
 """The section of a report about a trade-off: the front, its proved lower bound, and gains of some designs in MuJoCo."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
 from sim.studies.frequency.identification import ideal_measurements, settled_gain
 from sim.studies.frequency.sinusoids import drive_periodic, settled_sinusoid, whole_periods
+from sim.studies.study import Progress, Study
 from sim.studies.subject import AMPLITUDE, Subject
 from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of, usual
@@ -28,20 +29,6 @@ SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s, frequencies at which a run is trie
 TURN = 0.005  # rad, largest change of the sinusoid's phase in one timestep
 NEXT = 1e-3  # largest relative distance between the gain and the norm, if the norm is reached at frequency 0
 TITLE = "Trade-off between objectives"
-
-
-def check_front(vehicle: Vehicle, text: str) -> None:
-    """Checks that the section is possible, before controllers are designed.
-
-    Args:
-        vehicle: the vehicle.
-        text: axes in the syntax of `--front`.
-
-    Raises:
-        InputError: the axes are invalid, or the vehicle has no controller for which a front can be designed.
-    """
-    axes_of(vehicle, text)
-    entry_of(vehicle, usual(vehicle))
 
 
 def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
@@ -120,3 +107,23 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
     gains = largest_singular_values(loop.frequency_response(SLOW))
     near = SLOW[gains >= norm * (1 - NEXT)]
     return float(near[-1]) if len(near) else math.nan
+
+
+class FrontStudy(Study[Document]):
+    """Study that adds a trade-off between objectives to a report, with MuJoCo runs of some designs."""
+
+    seconds = 30.0
+
+    def check_page(self, scope: Subject) -> None:
+        """Checks the axes and the entry of the front."""
+        if scope.front is not None:
+            axes_of(scope.vehicle, scope.front)
+            entry_of(scope.vehicle, usual(scope.vehicle))
+
+    def requests(self, scope: Subject) -> Mapping[str, Subject]:
+        """Returns the request for a trade-off, if its axes are given."""
+        return {} if scope.front is None else {"": scope}
+
+    def run(self, request: Subject, progress: Progress) -> Document:
+        """Returns the section of the trade-off."""
+        return front_section(request, progress)

@@ -33,7 +33,7 @@ from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.drive.jumps import Jumps
 from sim.drive.response import Response
-from sim.studies.ride.weighting import LATE, filter_signals, sampled_wk
+from sim.studies.ride.weighting import LATE, after_samples, sampled_wk
 from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of
 
@@ -322,11 +322,8 @@ class Meter:
             for angle, parts in (angles[0].items() if angles else ())
         }
         self.filter = sampled_wk(timestep)
-        self.memory = {
-            name: np.zeros((*np.shape(self.filter.denominators)[:1], count, self.filter.numerators.shape[1] - 1))
-            for name in self.accelerations
-        }
-        self.running = {name: np.zeros((1, count, 1)) for name in self.accelerations}
+        self.memory: dict[str, Array] = {}  # memory of the weighting of each acceleration
+        self.running = {name: np.zeros((count, 1)) for name in self.accelerations}  # most recent running mean, shape (N, 1)
         self.last: dict[str, Array] = {}  # the two most recent samples of each acceleration, shape (N, 2)
         self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.vehicle.dampers else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
@@ -418,14 +415,13 @@ class Meter:
             acceleration: samples [m/s2], shape (N, B).
             seen: number of samples before these.
         """
+        if not acceleration.shape[1]:
+            return
         skip = max(self.first + self.late - seen, 0)
-        weighted, wk = np.zeros_like(acceleration), self.filter
-        parts, self.memory[name] = filter_signals(wk.numerators, wk.denominators, acceleration, self.memory[name])
-        for part in parts:
-            weighted += part
+        weighted, self.memory[name] = self.filter(acceleration, self.memory.get(name))
         forget = np.exp(-self.timestep / RUNNING_TIME_CONSTANT)
-        mean = np.array([[1 - forget, 0.0]]), np.array([[1.0, -forget]])
-        (running,), self.running[name] = filter_signals(*mean, weighted * weighted, self.running[name])
+        means = after_samples(np.array([[forget]]), (1 - forget) * np.square(weighted)[..., None], self.running[name])
+        running, self.running[name] = means[..., 0], means[:, -1]
         if skip < acceleration.shape[1]:
             for metric, totals in self.totals.items():
                 if metric.source == name:

@@ -1,4 +1,4 @@
-"""The frequency weighting W_k of ISO 2631-1, continuous and sampled, and its recursive filters.
+"""The frequency weighting W_k of ISO 2631-1, continuous and sampled.
 
 The constants of the transfer function H(s) are in `models/laws/filter.py`. Controller designs can use the same weighting.
 
@@ -9,92 +9,12 @@ The remaining relative error is (omega h)^8 / 3150. At 80 Hz, the error is 3e-6 
 ms, the error is 0.3 % at 40 Hz and 5 % at 100 Hz, the Nyquist frequency.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
+from models.common.arrays import Array, recursion
 from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
-
-# Python numbers are fastest for at most FEW signals, and NumPy arrays for at most MANY. SciPy, which takes half a second to
-# import, is fastest for more
-FEW, MANY = 4, 64
-ORDER = 2  # order of the filters' denominators
-
-
-def filter_signals(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
-    """Filters N signals with F filters. The results equal those of `scipy.signal.lfilter` bit for bit.
-
-    Args:
-        b: numerators by powers of 1/z, shape (F, K).
-        a: denominators by powers of 1/z, of at most second order and not longer than the numerators; each begins with 1.
-        signals: signals, shape (N, T).
-        memory: filter states before the first sample, shape (F, N, K - 1).
-
-    Returns:
-        Filtered signals, shape (F, N, T), and filter states after the last sample, shape (F, N, K - 1).
-    """
-    if len(signals) > MANY:
-        from scipy.signal import lfilter
-
-        parts = [lfilter(top, below, signals, zi=states) for top, below, states in zip(b, a, memory, strict=True)]
-        return np.stack([out for out, _ in parts]), np.stack([after for _, after in parts])
-    if len(signals) > FEW:
-        out, after = _recursion(b.T[:, :, None], a.T[:, :, None], signals.T[:, None], np.moveaxis(memory, 2, 0), list)
-        return np.moveaxis(out, 0, 2), np.moveaxis(after, 0, 2)
-    rows = [
-        _recursion(top, below, signal, state, np.ndarray.tolist)
-        for top, below, states in zip(b, a, memory, strict=True)
-        for signal, state in zip(signals, states, strict=True)
-    ]
-    out, after = (np.reshape([row[i] for row in rows], (len(b), len(signals), -1)) for i in (0, 1))
-    return out, after
-
-
-def _recursion(b: Array, a: Array, signal: Array, memory: Array, numbers: Callable[[Array], list[Any]]) -> tuple[Array, Array]:
-    """Returns the filtered signal and the states after its last sample; time and states are the first axes.
-
-    The recursion is a transposed direct form that adds in the same order as SciPy. The first samples depend on the given
-    states. For later samples, the numerator taps beyond the order of the denominator are added as shifted signals.
-
-    Args:
-        b, a: numerator and denominator by powers of 1/z.
-        signal: samples of the signal.
-        memory: states before the first sample.
-        numbers: function that converts an array to a list of values per sample.
-    """
-    reach = max(len(b) - 1, ORDER)
-    taps, poles, state = (numbers(_pad_values(*each)) for each in ((b, reach + 1), (a, reach + 1), (memory, reach)))
-    out = [_step(value, None, state, taps, poles) for value in numbers(signal[:reach])]
-    if len(signal) > reach:
-        count = len(signal) - reach
-        summed = signal[:count] * taps[reach]
-        for i in range(reach - 1, ORDER - 1, -1):
-            summed = summed + signal[reach - i :][:count] * taps[i]
-        late, now = signal[reach - 1 :][:count] * taps[1], signal[reach:] * taps[0]
-        (_, a1, a2), before, last = poles[: ORDER + 1], out[-2], out[-1]
-        for older, newer, newest in zip(numbers(summed), numbers(late), numbers(now), strict=True):
-            before, last = last, ((older - before * a2) + newer - last * a1) + newest
-            out.append(last)
-        for value, known in zip(numbers(signal[-reach:]), out[-reach:], strict=True):
-            _step(value, known, state, taps, poles)
-    return np.array(out), np.array(state[: len(memory)])
-
-
-def _pad_values(values: Array, length: int) -> Array:
-    return np.concatenate([values, np.zeros((length - len(values), *values.shape[1:]))])
-
-
-def _step(value: Any, known: Any, state: list[Any], b: Sequence[Any], a: Sequence[Any]) -> Any:
-    """Updates the filter states in place by one sample; returns the output, which is computed only if `known` is None."""
-    out = state[0] + b[0] * value if known is None else known
-    for i in range(len(state) - 1):
-        state[i] = state[i + 1] + value * b[i + 1] - out * a[i + 1]
-    state[-1] = value * b[-1] - out * a[-1]
-    return out
-
 
 DIFFERENCE = np.array([-1.0, 2.0, -1.0])  # filter with the response 2 - 2 cos(omega h), delayed by one sample
 LATE = 3  # delay of the sampled filter, in samples
@@ -131,11 +51,37 @@ class SampledWk:
 
     Attributes:
         numerators: numerators by powers of 1/z, shape (4, 9).
-        denominators: denominators by powers of 1/z, shape (4, 3).
+        poles: pole of each filter with a positive imaginary part, shape (4,), complex.
     """
 
     numerators: Array
-    denominators: Array
+    poles: Array
+
+    @property
+    def denominators(self) -> Array:
+        """Denominators by powers of 1/z, shape (4, 3)."""
+        return np.stack([np.ones(len(self.poles)), -2 * self.poles.real, np.abs(self.poles) ** 2], axis=1)
+
+    def __call__(self, signals: Array, memory: Array | None) -> tuple[Array, Array]:
+        """Filters the next samples of N signals.
+
+        Args:
+            signals: samples, shape (N, T).
+            memory: memory after the previous samples, as returned; None before the first sample.
+
+        Returns:
+            Weighted signals, shape (N, T), and the last samples of the signals with the states of the filters, shape (N, 16).
+        """
+        count, taps = self.numerators.shape
+        memory = np.zeros((len(signals), taps - 1 + 2 * count)) if memory is None else memory
+        whole = np.concatenate([memory[:, : taps - 1], signals], axis=1)
+        pushed = np.lib.stride_tricks.sliding_window_view(whole, taps, axis=1) @ self.numerators[:, ::-1].T
+        # With q[k] = pole q[k-1] + pushed[k], the output of a filter is Im(pole q[k]) / Im(pole). The states are Re q and Im q.
+        real, imaginary = np.diag(self.poles.real), np.diag(self.poles.imag)
+        Phi = np.block([[real, -imaginary], [imaginary, real]])
+        states = after_samples(Phi, np.pad(pushed, ((0, 0), (0, 0), (0, count))), memory[:, taps - 1 :])
+        weighted = states @ np.concatenate([np.ones(count), self.poles.real / self.poles.imag])
+        return weighted, np.concatenate([whole[:, 1 - taps :], states[:, -1]], axis=1)
 
     def response(self, omega: Array, timestep: float) -> Array:
         """Returns the complex frequency response of the filter, with the shape of `omega` [rad/s]."""
@@ -146,9 +92,14 @@ class SampledWk:
         )
 
 
+def after_samples(Phi: Array, forcing: Array, start: Array) -> Array:
+    """Returns the states after each sample of x[k+1] = Phi x[k] + forcing[k] from x[0] = `start`, shape (N, T, n)."""
+    return recursion(Phi, np.concatenate([forcing, np.zeros_like(forcing[:, :1])], axis=1), start[:, None])[:, 1:]
+
+
 def sampled_wk(timestep: float) -> SampledWk:
     """Returns W_k for signals with a sample period of `timestep` [s]."""
-    numerators, denominators = [], []
+    numerators, poles = [], []
     for f, q in POLES:
         w = 2 * np.pi * f
         pole = w * (-1 / (2 * q) + 1j * np.sqrt(1 - 1 / (4 * q**2)))
@@ -160,5 +111,5 @@ def sampled_wk(timestep: float) -> SampledWk:
         a = (e - 1) / pole - b
         hold = 2 * np.real([residue * b, residue * (a - b * np.conj(e)), -residue * a * np.conj(e)])
         numerators.append(np.convolve(hold, RESTORE))
-        denominators.append([1.0, -2 * np.real(e), np.abs(e) ** 2])
-    return SampledWk(np.array(numerators), np.array(denominators))
+        poles.append(e)
+    return SampledWk(np.array(numerators), np.array(poles))

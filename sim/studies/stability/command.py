@@ -1,31 +1,14 @@
 """The study of margins for gain, phase, delay and sample period, predicted by linear analysis and found in MuJoCo."""
 
-import math
-from argparse import Namespace
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser
-from models.common.errors import InputError
 from sim.studies.stability import TIMESTEP
-from sim.studies.study import Progress, Study, StudyRequest
-
-if TYPE_CHECKING:
-    from models.document.document import Document
-    from models.document.figure import Figure
-    from models.vehicle.vehicle import Vehicle
-    from sim.runs.run import Run
-    from sim.studies.stability.study import StabilityMargins
-    from sim.studies.subject import Subject
-    from synth.controller.controller import Controller
-
-RECORDED_TIME = 4.0  # s, duration of a recorded run
+from sim.studies.study import Study
 
 
-class MarginsStudy(Study["list[StabilityMargins]"]):
-    """Study of stability margins, of one controller in the command and of all active controllers in the report."""
+class MarginsCommand(Study):
+    """Texts and options of `sim.studies.stability.study.MarginsStudy`."""
 
     description = "Find the margins of a control loop for gain, phase, delay and sample period."
     epilog = """
@@ -49,121 +32,3 @@ examples:
             "--picture", type=Path, metavar="FILE", help="draw the margins (.png, .svg or .pdf); needs matplotlib"
         )
         parser.add_printed("each loop")
-
-    def check(self, request: StudyRequest) -> None:
-        from sim.linear.nonlinear_elements import at_rest
-        from sim.runs.run import sample_times
-        from sim.studies.stability.margin_search import LONGEST
-
-        sample_times(at_rest(request.vehicle), LONGEST, request.options.timestep)
-
-    def check_controllers(self, request: StudyRequest) -> None:
-        from sim.linear.nonlinear_elements import at_rest
-
-        vehicle = at_rest(request.vehicle)
-        for one in request.controllers:
-            check_loop(_without_computer(vehicle), vehicle, one, request.options.timestep)
-
-    def run(self, request: StudyRequest, progress: Progress) -> "list[StabilityMargins]":
-        from sim.studies.stability.study import stability_margins
-
-        options = request.options
-        each_loop = getattr(options, "each_loop", True)
-        return stability_margins(request.vehicle, request.controllers, options.timestep, progress, each_loop)
-
-    def describe(self, request: StudyRequest, result: "list[StabilityMargins]") -> "Document":
-        from sim.studies.stability.report import describe
-
-        return describe(result[0])
-
-    def title(self, request: StudyRequest, result: "list[StabilityMargins]") -> str:
-        name = request.names[0]
-        return f"{request.vehicle.kind.name} with controller {name}; MuJoCo at {request.options.timestep:g} s"
-
-    def record(self, request: StudyRequest, result: "list[StabilityMargins]") -> dict[str, Any]:
-        from sim.studies.stability.report import record
-
-        return record(result[0])
-
-    def holds(self, result: "list[StabilityMargins]") -> bool:
-        return all(one.agrees for one in result)
-
-    def figure(self, request: StudyRequest, result: "list[StabilityMargins]") -> "Figure":
-        from sim.studies.stability.figure import margins_figure
-
-        return margins_figure(result[0])
-
-    def recorded_vehicle(self, given: "Vehicle") -> "Vehicle":
-        return _without_computer(given)
-
-    def runs(self, request: StudyRequest, result: "list[StabilityMargins]") -> "dict[str, Run]":
-        """Returns runs with the longest stable delay and with the shortest unstable delay.
-
-        If no delay is unstable, the only run has the longest delay of the search.
-        """
-        from models.vehicle.limits_and_implementation import Implementation
-        from sim.runs.run import run_controllers, sample_times
-        from sim.studies.stability.margin_search import BUMP
-
-        vehicle, timestep, delay = _without_computer(request.vehicle), request.options.timestep, result[0].loops[""].delay
-        delays = [delay.stable, delay.unstable] if math.isfinite(delay.unstable) else [delay.stable]
-        time, runs = sample_times(vehicle, RECORDED_TIME, timestep), {}
-        for samples in (round(delay / timestep) for delay in delays):
-            delayed = replace(vehicle, implementation=Implementation(delay=samples))
-            (runs[f"{request.names[0]}_{samples}_samples_late"],) = run_controllers(delayed, request.controllers, BUMP, time)
-        return runs
-
-    def requests(self, scope: "Subject") -> Mapping[str, StudyRequest]:
-        options = Namespace(timestep=scope.margins_timestep, each_loop=False)
-        return {"": StudyRequest(options, scope.vehicle, (), scope.active)} if scope.active and not scope.quick else {}
-
-    def for_page(self, result: "list[StabilityMargins]") -> "Document":
-        from sim.studies.stability.report import compare
-
-        return compare(result)
-
-
-def _without_computer(vehicle: "Vehicle") -> "Vehicle":
-    """Returns the vehicle without sample period, delay and noise."""
-    from models.vehicle.limits_and_implementation import Implementation
-
-    return replace(vehicle, implementation=Implementation())
-
-
-def check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", timestep: float) -> None:
-    """Checks that the ideal and the implemented loop have margins.
-
-    Args:
-        vehicle: vehicle without sample period, delay and noise.
-        built: vehicle with its implementation.
-        controller: the controller.
-        timestep: timestep of the simulation [s].
-
-    Raises:
-        InputError: a loop is unstable, or the controller requests no force.
-    """
-    from sim.linear.sampled_response import taylor4
-    from synth.controller.loop_of import loop_of, radius
-    from synth.controller.report import sign_note
-
-    name, certificate = f"controller {controller.name!r}", controller.certificate
-    if not controller.law.acts:
-        raise InputError(f"{name} requests no force, so there is no loop and no margin; choose another controller")
-    if not certificate.stable:
-        why = f"its ideal loop is not stable ({certificate.stability.words})"
-        raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
-    times = loop_of(vehicle, controller).direct_radius
-    if times >= 1:
-        raise InputError(
-            f"{name} tolerates neither delay nor sampling: its measurements contain {times:.4g} times its own force, "
-            "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
-        )
-    growth = radius(loop_of(vehicle, controller, timestep, taylor4))
-    if growth >= 1:
-        raise InputError(
-            f"{name} is not stable at a timestep of {timestep:g} s or with the lag of the actuators (motion grows by a factor of "
-            f"{growth:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
-        )
-    if radius(loop_of(built, controller, timestep, taylor4)) >= 1:
-        why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
-        raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")

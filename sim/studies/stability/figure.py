@@ -14,8 +14,8 @@ from models.vehicle.limits_and_implementation import Implementation
 from sim.linear.nonlinear_elements import at_rest
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge
+from sim.studies.stability.margins import StabilityMargins
 from sim.studies.stability.simulated_loop import LoopCase
-from sim.studies.stability.study import StabilityMargins
 from synth.controller.loop_of import loop_of, radius
 
 POINTS, MEASURED = 40, 7  # number of points of a predicted curve, and number of points that are measured in MuJoCo

@@ -15,7 +15,7 @@ from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
 from sim.studies.stability.figure import SIZE, margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
-from sim.studies.stability.study import StabilityMargins
+from sim.studies.stability.margins import StabilityMargins
 from synth.analysis.specification import FREQUENCY
 from synth.controller.law_margins import TURN, decibels
 from synth.controller.stability_margins import LARGEST_FACTOR

@@ -1,68 +1,124 @@
-"""Margins of controllers, predicted and found in MuJoCo: the result that is shown as text, JSON and figures."""
+"""Study of stability margins: the command `margins`, and a section of the report."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import math
+from argparse import Namespace
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
+from models.common.errors import InputError
+from models.document.document import Document
+from models.document.figure import Figure
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
-from sim.studies.stability.edge import no_progress
-from sim.studies.stability.margin_search import LoopMargins, find_all, implemented_searches, loops_of, searches
+from sim.linear.sampled_response import taylor4
+from sim.runs.run import Run, run_controllers, sample_times
+from sim.studies.stability.command import MarginsCommand
+from sim.studies.stability.figure import margins_figure
+from sim.studies.stability.margin_search import BUMP, LONGEST
+from sim.studies.stability.margins import StabilityMargins, stability_margins
+from sim.studies.stability.report import compare, describe, record
+from sim.studies.study import Progress, StudyRequest
+from sim.studies.subject import Subject
 from synth.controller.controller import Controller
+from synth.controller.loop_of import loop_of, radius
+from synth.controller.report import sign_note
+
+RECORDED_TIME = 4.0  # s, duration of a recorded run
 
 
-@dataclass(frozen=True, eq=False)
-class StabilityMargins:
-    """Margins of one controller.
+class MarginsStudy(MarginsCommand):
+    """Study of stability margins, of one controller in the command and of all active controllers in the report."""
 
-    Attributes:
-        vehicle: vehicle of the vehicle file.
-        controller: the controller.
-        loops: margins of the ideal loop by name; "" is the loop cut at all actuators, and a force is the loop cut at this
-            force.
-        implemented_loops: margins of the implemented loop by name; empty if it has neither sample period nor delay.
-    """
+    def check(self, request: StudyRequest) -> None:
+        sample_times(at_rest(request.vehicle), LONGEST, request.options.timestep)
 
-    vehicle: Vehicle
-    controller: Controller
-    loops: dict[str, LoopMargins]
-    implemented_loops: dict[str, LoopMargins]
+    def check_controllers(self, request: StudyRequest) -> None:
+        vehicle = at_rest(request.vehicle)
+        for one in request.controllers:
+            check_loop(_without_computer(vehicle), vehicle, one, request.options.timestep)
 
-    @property
-    def wrong(self) -> list[str]:
-        """Names of the loops with a margin for which MuJoCo contradicts the prediction."""
-        loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.implemented_loops.items()]
-        loops += [(name or "the loop", one) for name, one in self.loops.items()]
-        return [name for name, one in loops if not one.agrees]
+    def run(self, request: StudyRequest, progress: Progress) -> list[StabilityMargins]:
+        options = request.options
+        each_loop = getattr(options, "each_loop", True)
+        return stability_margins(request.vehicle, request.controllers, options.timestep, progress, each_loop)
 
-    @property
-    def agrees(self) -> bool:
-        """True if MuJoCo confirms the predicted margins."""
-        return not self.wrong
+    def describe(self, request: StudyRequest, result: list[StabilityMargins]) -> Document:
+        return describe(result[0])
+
+    def title(self, request: StudyRequest, result: list[StabilityMargins]) -> str:
+        name = request.names[0]
+        return f"{request.vehicle.kind.name} with controller {name}; MuJoCo at {request.options.timestep:g} s"
+
+    def record(self, request: StudyRequest, result: list[StabilityMargins]) -> dict[str, Any]:
+        return record(result[0])
+
+    def holds(self, result: list[StabilityMargins]) -> bool:
+        return all(one.agrees for one in result)
+
+    def figure(self, request: StudyRequest, result: list[StabilityMargins]) -> Figure:
+        return margins_figure(result[0])
+
+    def recorded_vehicle(self, given: Vehicle) -> Vehicle:
+        return _without_computer(given)
+
+    def runs(self, request: StudyRequest, result: list[StabilityMargins]) -> dict[str, Run]:
+        """Returns runs with the longest stable delay and with the shortest unstable delay.
+
+        If no delay is unstable, the only run has the longest delay of the search.
+        """
+        vehicle, timestep, delay = _without_computer(request.vehicle), request.options.timestep, result[0].loops[""].delay
+        delays = [delay.stable, delay.unstable] if math.isfinite(delay.unstable) else [delay.stable]
+        time, runs = sample_times(vehicle, RECORDED_TIME, timestep), {}
+        for samples in (round(delay / timestep) for delay in delays):
+            delayed = replace(vehicle, implementation=Implementation(delay=samples))
+            (runs[f"{request.names[0]}_{samples}_samples_late"],) = run_controllers(delayed, request.controllers, BUMP, time)
+        return runs
+
+    def requests(self, scope: Subject) -> Mapping[str, StudyRequest]:
+        options = Namespace(timestep=scope.margins_timestep, each_loop=False)
+        return {"": StudyRequest(options, scope.vehicle, (), scope.active)} if scope.active and not scope.quick else {}
+
+    def for_page(self, result: list[StabilityMargins]) -> Document:
+        return compare(result)
 
 
-def stability_margins(
-    vehicle: Vehicle,
-    controllers: Sequence[Controller],
-    timestep: float,
-    progress: Callable[[str], None] = no_progress,
-    each_loop: bool = True,
-) -> list[StabilityMargins]:
-    """Computes the margins of controllers for the vehicle in equilibrium, and searches for the same margins in MuJoCo.
+def _without_computer(vehicle: Vehicle) -> Vehicle:
+    """Returns the vehicle without sample period, delay and noise."""
+    return replace(vehicle, implementation=Implementation())
+
+
+def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timestep: float) -> None:
+    """Checks that the ideal and the implemented loop have margins.
 
     Args:
-        vehicle: the vehicle.
-        controllers: controllers with stable loops.
+        vehicle: vehicle without sample period, delay and noise.
+        built: vehicle with its implementation.
+        controller: the controller.
         timestep: timestep of the simulation [s].
-        progress: callback that receives the name of the stage, or a line about its progress.
-        each_loop: True to include the loops that are cut at a single actuator.
+
+    Raises:
+        InputError: a loop is unstable, or the controller requests no force.
     """
-    progress("margins")
-    built = at_rest(vehicle)
-    ideal, parts = replace(built, implementation=Implementation()), loops_of(vehicle)
-    parts = parts if each_loop else {"": parts[""]}
-    loops = [{name: searches(ideal, one, cut, timestep) for name, cut in parts.items()} for one in controllers]
-    late = {} if vehicle.implementation.undelayed else parts
-    implemented = [{name: implemented_searches(built, one, cut, timestep) for name, cut in late.items()} for one in controllers]
-    find_all([margins for each in (*loops, *implemented) for margins in each.values()], progress)
-    return [StabilityMargins(vehicle, *of) for of in zip(controllers, loops, implemented, strict=True)]
+    name, certificate = f"controller {controller.name!r}", controller.certificate
+    if not controller.law.acts:
+        raise InputError(f"{name} requests no force, so there is no loop and no margin; choose another controller")
+    if not certificate.stable:
+        why = f"its ideal loop is not stable ({certificate.stability.words})"
+        raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
+    times = loop_of(vehicle, controller).direct_radius
+    if times >= 1:
+        raise InputError(
+            f"{name} tolerates neither delay nor sampling: its measurements contain {times:.4g} times its own force, "
+            "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
+        )
+    growth = radius(loop_of(vehicle, controller, timestep, taylor4))
+    if growth >= 1:
+        raise InputError(
+            f"{name} is not stable at a timestep of {timestep:g} s or with the lag of the actuators (motion grows by a factor of "
+            f"{growth:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
+        )
+    if radius(loop_of(built, controller, timestep, taylor4)) >= 1:
+        why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
+        raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")

@@ -23,9 +23,9 @@ from models.common.printed import percent
 from models.roads.loads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
-from sim.drive.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
+from sim.drive.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled
 from sim.studies.validity.grid import UNITS, GridAxis
-from sim.studies.validity.map_runs import MapRun, analyse_bumps, drive_bumps, shares, with_loads
+from sim.studies.validity.map_runs import MapRun, analyse_bumps, drive_bumps, with_loads
 from sim.studies.validity.regime_end import RegimeEnd, enclose_ends
 from synth.controller.controller import Controller, is_linear
 
@@ -218,12 +218,11 @@ def _predict_cells(
         for k, road in enumerate(some):
             mine, run = members[road], responses.run(k)
             factors = heights[mine] if proportional else np.ones(1)
-            both = [shares(vehicle, controller, replace(run, values=sign * run.values)) for sign in (1.0, -1.0)]
-            used[mine] = np.abs(factors)[:, None] * np.where(factors[:, None] > 0, both[0], both[1])
-            times[mine] = scaled_reached(vehicle, run, factors, controller.has_anti_windup)
+            ends = scaled(vehicle, run, factors, controller.has_anti_windup)
+            used[mine], times[mine] = ends.shares, ends.times
             travel[mine] = np.abs(factors) * max((float(run.peak(name)) for name in moves), default=0.0)
             done += len(mine)
         progress(done)
     if not is_linear(controller, vehicle):
-        times[:, REGIME_ENDS.index(DAMPER)] = np.inf
+        used[:, REGIME_ENDS.index(DAMPER)], times[:, REGIME_ENDS.index(DAMPER)] = 0.0, np.inf
     return used, first_end(times), times.min(axis=1), travel
