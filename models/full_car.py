@@ -7,15 +7,13 @@ track widths, only the warp mode changes.
 
 import numpy as np
 
-from models.kinds import links, rigid_body, signals
-from models.kinds.car import Car, lateral
-from models.kinds.kind import Parameter, Parameters, motion_ratio
-from models.kinds.rigid_body import Bar, Corner, RigidBody
+from models.kinds import links, rigid_body
+from models.kinds.car import Car, anti_roll_bar
+from models.kinds.kind import Parameter, motion_ratio
 from models.kinds.strut_and_tyre import TYRE_DAMPING
 
 AXLES = rigid_body.AXLES
-SIDES = ("left", "right")
-CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in SIDES)
+CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in links.SIDES)
 
 # Modes of four wheels (front left, front right, rear left, rear right). The signs are those of the body's motion: nose down and
 # right side down are positive.
@@ -43,67 +41,9 @@ PARAMETERS = (
     *rigid_body.per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
     *(motion_ratio(f"motion_ratio_{axle}") for axle in rigid_body.AXLES),
     rigid_body.CENTRE_HEIGHT,
-    *(
-        Parameter(
-            f"anti_roll_stiffness_{axle}",
-            "N m/rad",
-            f"k_phi, stiffness of the anti-roll bar: moment per roll angle of the body at the {axle} axle",
-            positive=False,
-            usual=0.0,
-        )
-        for axle in AXLES
-    ),
+    *map(anti_roll_bar, AXLES),
     *links.ROLL_CENTRES,
     *links.LENGTHWAYS,
 )
 
-
-def _body(p: Parameters) -> RigidBody:
-    corners = tuple(Corner.of(p, f"{axle}_{side}", axle, lateral(f"{axle}_{side}", p)) for axle in AXLES for side in SIDES)
-    widths = np.repeat([links.track(axle, p) for axle in AXLES], 2)
-    modes = np.stack(list(MODES.values()))
-    bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
-    pitch_arm, roll_arm = links.arms(p)
-    return RigidBody(
-        corners,
-        p["sprung_mass"],
-        p["pitch_inertia"],
-        p["roll_inertia"],
-        tyre_modes=modes,
-        twist=TWIST * (widths.max() / widths),
-        bars=bars,
-        pitch_arm=pitch_arm,
-        roll_arm=roll_arm,
-        wheel_loads=links.wheel_loads(p, CORNERS),
-        seat_mass=p.get("seat_mass", 0.0),
-        seat_x=p.get("seat_x", 0.0),
-        seat_y=p.get("seat_y", 0.0),
-    )
-
-
-def check(p: Parameters) -> None:
-    """Raises InputError if the parameters do not describe a possible body."""
-    rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
-    rigid_body.check_inertia(
-        "roll_inertia", p["roll_inertia"], p["sprung_mass"], max(links.track(axle, p) for axle in AXLES), "track"
-    )
-    links.check_links(p)
-    rigid_body.check_stands(_body(p))
-
-
-TYRE_MODES = tuple(signals.TYRE_DEFLECTION.at(mode) for mode in MODES)
-KIND = Car(
-    _body,
-    CORNERS,
-    tyres=TYRE_MODES,
-    rates=(signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE),
-    accelerations=(signals.HEAVE_ACCELERATION, signals.PITCH_ACCELERATION, signals.ROLL_ACCELERATION),
-).kind(
-    "full_car",
-    PARAMETERS,
-    check,
-    combined={
-        mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(CORNERS, pattern, strict=True)}
-        for mode, pattern in zip(TYRE_MODES, MODES.values(), strict=True)
-    },
-)
+KIND = Car(PARAMETERS, CORNERS, MODES, TWIST).kind("full_car")

@@ -7,11 +7,9 @@ drive over the same road. The axles must have equal distances from the centre of
 
 import numpy as np
 
-from models.common.errors import InputError
-from models.kinds import links, rigid_body, signals
-from models.kinds.car import Car, lateral
-from models.kinds.kind import Parameter, Parameters
-from models.kinds.rigid_body import Bar, Corner, RigidBody
+from models.kinds import links, rigid_body
+from models.kinds.car import Car, anti_roll_bar
+from models.kinds.kind import Parameter
 
 SIDES = links.SIDES
 PARAMETERS = (
@@ -27,57 +25,14 @@ PARAMETERS = (
         optional=True,
     ),
     *rigid_body.of_half_car(SIDES),
-    Parameter(
-        "anti_roll_stiffness",
-        "N m/rad",
-        "k_phi, stiffness of the anti-roll bar: moment per roll angle of the body",
-        positive=False,
-        usual=0.0,
-    ),
+    anti_roll_bar(),
     rigid_body.CENTRE_HEIGHT,
     links.ROLL_CENTRE,
     links.WHEEL_CENTRE,
 )
 
-
-def _body(p: Parameters) -> RigidBody:
-    return RigidBody(
-        tuple(Corner.of(p, side, side, lateral(side, p)) for side in SIDES),
-        p["sprung_mass"],
-        None,
-        p["roll_inertia"],
-        tyre_modes=np.eye(2),
-        twist=np.zeros(2),
-        bars=(Bar("axle", 0, 1, p["anti_roll_stiffness"]),),
-        roll_arm=links.arms(p)[1],
-        wheel_loads=links.wheel_loads(p, SIDES),
-        seat_mass=p.get("seat_mass", 0.0),
-        seat_y=p.get("seat_y", 0.0),
-    )
-
-
-def check(p: Parameters) -> None:
-    """Raises InputError if the parameters do not describe a possible body."""
-    # Many published models of this type use `track` for the distance between the springs, which lie far inside the wheels.
-    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], 2 * p["track"], "doubled track")
-    if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
-        raise InputError(
-            f"centre_offset = {offset:g} m is not between the wheels, which are {p['track'] / 2:g} m from the middle; give a "
-            "smaller offset"
-        )
-    rigid_body.check_stands(_body(p))
-
-
-KIND = Car(
-    _body,
-    SIDES,
-    tyres=tuple(signals.TYRE_DEFLECTION.at(side) for side in SIDES),
-    rates=(signals.HEAVE_VELOCITY, signals.ROLL_RATE),
-    accelerations=(signals.HEAVE_ACCELERATION, signals.ROLL_ACCELERATION),
-).kind(
+KIND = Car(PARAMETERS, SIDES, dict(zip(SIDES, np.eye(2), strict=True)), np.zeros(2)).kind(
     "half_car_roll",
-    PARAMETERS,
-    check,
     lacking=dict.fromkeys(
         ("pitch", "axle_distance", "anti_dive", "anti_lift", "anti_squat"),
         "a half-car in the roll plane only heaves and rolls: omit plane, or use a full_car",

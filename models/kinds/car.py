@@ -1,43 +1,118 @@
 """Vehicle types with a rigid body on several corners, derived from the body and the names of its corners."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
 from models.kinds import links, rigid_body, signals
 from models.kinds.kind import SEAT_POINTS, BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
-from models.kinds.rigid_body import RigidBody
+from models.kinds.rigid_body import Bar, Corner, RigidBody, check_inertia, check_stands
 from models.kinds.signals import Signal
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 
+MOTIONS = {  # signals of velocity and acceleration of the body, by the parameter that a type has if its body moves in this way
+    "sprung_mass": (signals.HEAVE_VELOCITY, signals.HEAVE_ACCELERATION),
+    "pitch_inertia": (signals.PITCH_RATE, signals.PITCH_ACCELERATION),
+    "roll_inertia": (signals.ROLL_RATE, signals.ROLL_ACCELERATION),
+}
+BAR = "anti_roll_stiffness"
+
+
+def anti_roll_bar(axle: str = "") -> Parameter:
+    """Returns the parameter of the anti-roll bar of an axle, or of the only axle."""
+    meaning = "k_phi, stiffness of the anti-roll bar: moment per roll angle of the body"
+    name, meaning = (f"{BAR}_{axle}", f"{meaning} at the {axle} axle") if axle else (BAR, meaning)
+    return Parameter(name, "N m/rad", meaning, positive=False, usual=0.0)
+
+
 def lateral(corner: str, p: Parameters) -> float:
-    """Returns the distance of a corner to the left of the vehicle's centre line [m]."""
+    """Returns the distance of a corner to the left of the vehicle's centre line [m]; 0 on a vehicle with one track."""
     axle, _, side = corner.rpartition("_")
+    if side not in links.SIDES:
+        return 0.0
     return (links.track(axle, p) / 2 if side == "left" else -links.track(axle, p) / 2) - p.get("centre_offset", 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Car:
     """The functions of a vehicle type with a rigid body.
 
     Attributes:
-        body: function of the parameters that returns the rigid body.
-        corners: names of the corners: an axle, a side, or an axle and a side.
-        tyres: signals of the tyre deflections that are states.
-        rates: signals of the velocities of the body.
-        accelerations: signals of the body's accelerations.
+        parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
+        corners: names of the c corners: an axle, a side, or an axle and a side.
+        modes: modes of the tyre deflections that are states, by name, each of shape (c,).
+        warp: motion of the wheels that a rigid body cannot follow, for axles of equal track width, shape (c,); zero without one.
     """
 
-    body: Callable[[Parameters], RigidBody]
+    parameters: tuple[Parameter, ...]
     corners: tuple[str, ...]
-    tyres: tuple[Signal, ...]
-    rates: tuple[Signal, ...]
-    accelerations: tuple[Signal, ...]
+    modes: Mapping[str, Array]
+    warp: Array
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.parameters)
+
+    @property
+    def rates(self) -> tuple[Signal, ...]:
+        """Signals of the velocities of the body."""
+        return tuple(rate for name, (rate, _) in MOTIONS.items() if name in self._names)
+
+    @property
+    def tyres(self) -> tuple[Signal, ...]:
+        """Signals of the tyre deflections that are states."""
+        return tuple(signals.TYRE_DEFLECTION.at(mode) for mode in self.modes)
+
+    def body(self, p: Parameters) -> RigidBody:
+        """Returns the rigid body for parameters [SI]."""
+        axles = [corner.partition("_")[0] for corner in self.corners]
+        widths = np.array([links.track(axle, p) for axle in axles] if self.warp.any() else [1.0])
+        bars = []
+        for name in self._names:
+            if name.startswith(BAR):
+                axle = name.removeprefix(BAR).removeprefix("_")
+                left, right = (i for i, corner in enumerate(self.corners) if corner.startswith(axle))
+                bars.append(Bar(axle or "axle", left, right, p[name]))
+        pitch_arm, roll_arm = links.arms(p)
+        return RigidBody(
+            tuple(Corner.of(p, corner, axle, lateral(corner, p)) for corner, axle in zip(self.corners, axles, strict=True)),
+            p["sprung_mass"],
+            p.get("pitch_inertia"),
+            p.get("roll_inertia"),
+            tyre_modes=np.stack([*self.modes.values()]),
+            twist=self.warp * (widths.max() / widths),
+            bars=tuple(bars),
+            pitch_arm=pitch_arm,
+            roll_arm=roll_arm,
+            wheel_loads=self.wheel_loads(p),
+            **{name: p.get(name, 0.0) for name in ("seat_mass", "seat_x", "seat_y")},
+        )
+
+    def check(self, p: Parameters) -> None:
+        """Raises InputError if the parameters do not describe a possible body."""
+        if "pitch_inertia" in p:
+            check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
+        if "roll_inertia" in p:
+            widest = max(links.track(corner.rpartition("_")[0], p) for corner in self.corners)
+            # Many published half-cars use `track` for the distance between the springs, which lie far inside the wheels
+            size, of = (2 * widest, "doubled track") if self.corners == links.SIDES else (widest, "track")
+            check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], size, of)
+            if abs(offset := p.get("centre_offset", 0.0)) >= widest / 2:
+                raise InputError(
+                    f"centre_offset = {offset:g} m is not between the wheels, which are {widest / 2:g} m from the middle; give a "
+                    "smaller offset"
+                )
+        links.check_links(p)
+        check_stands(self.body(p))
 
     def at_corners(self, *quantities: Signal) -> tuple[Signal, ...]:
         """Returns the signals of quantities at every corner."""
@@ -56,7 +131,8 @@ class Car:
     @property
     def derived(self) -> tuple[Signal, ...]:
         """Signals of the body's accelerations, and of its motion at the corners."""
-        return (*self.accelerations, *self.at_corners(signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION))
+        accelerations = (acceleration for name, (_, acceleration) in MOTIONS.items() if name in self._names)
+        return (*accelerations, *self.at_corners(signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION))
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
@@ -112,23 +188,16 @@ class Car:
         """Returns the body's angles [rad] as sums of signals."""
         return rigid_body.angles(self.body(p))
 
-    def kind(
-        self,
-        name: str,
-        parameters: tuple[Parameter, ...],
-        check: Callable[[Parameters], None],
-        combined: Mapping[str, Mapping[str, float]] | None = None,
-        lacking: Mapping[str, str] | None = None,
-    ) -> VehicleKind:
-        """Returns the vehicle type.
-
-        The argument `check` is a function that refuses an impossible body; for the other arguments, see `VehicleKind`.
-        """
+    def kind(self, name: str, lacking: Mapping[str, str] | None = None) -> VehicleKind:
+        """Returns the vehicle type. For the arguments, see `VehicleKind`."""
         sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
-        rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
+        combined = {
+            mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(self.corners, pattern, strict=True)}
+            for mode, pattern in zip(self.tyres, self.modes.values(), strict=True)
+        }
         return VehicleKind(
             name=name,
-            parameters=parameters,
+            parameters=self.parameters,
             signals=(*self.at_corners(signals.ROAD_DISPLACEMENT, signals.ROAD_VELOCITY), *self.outputs),
             wheels=tuple(
                 Wheel(
@@ -138,7 +207,7 @@ class Car:
                     tyre_deflection=f"tyre_deflection_{corner}",
                     behind=rigid_body.wheelbase if corner.startswith("rear") else nowhere_else,
                     side=side,
-                    lateral=partial(lateral, corner) if side else nowhere_else,
+                    lateral=partial(lateral, corner),
                 )
                 for corner, side in sides.items()
             ),
@@ -146,10 +215,10 @@ class Car:
             static_tyre_deflection=self.static_tyre_deflection,
             write_mjcf=self.write_mjcf,
             static_loads=self.static_loads,
-            check_together=check,
-            combined=combined or {},
+            check_together=self.check,
+            combined=combined if {*self.modes} != {*self.corners} else {},
             on_demand=self.on_demand,
-            loads=tuple(load for load, rate in zip(rigid_body.LOADS, rates, strict=True) if rate in self.rates),
+            loads=tuple(load for load, parameter in zip(rigid_body.LOADS, MOTIONS, strict=True) if parameter in self._names),
             wheel_loads=self.wheel_loads,
             carried=self.carried,
             angles=self.angles,

@@ -30,32 +30,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Variation(CheckedFields):
-    """Range of a parameter over a family of vehicles, relative to the vehicle for which a controller is designed.
+    """Range of a parameter, without effect; vehicle types written for earlier versions may still contain it.
 
     Attributes:
-        name: name of the varied quantity, as text. Parameters with the same `Variation` vary together.
-        smallest: smallest factor on the parameter, above 0 and at most 1.
-        largest: largest factor on the parameter, at least 1.
+        name: name of the varied quantity.
+        smallest: smallest factor on the parameter.
+        largest: largest factor on the parameter.
 
     Raises:
-        InputError: the factors are not a valid range.
+        InputError: a factor is not above 0.
     """
 
     name: str
     smallest: Positive
     largest: Positive
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (0 < self.smallest <= 1 <= self.largest <= LARGEST and self.smallest < self.largest):
-            raise InputError(
-                f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; the smallest factor must be above "
-                "0 and at most 1, and the largest factor must be at least 1, but not equal to the smallest"
-            )
-
-    def __str__(self) -> str:
-        low, high = (100 * (factor - 1) for factor in (self.smallest, self.largest))
-        return f"{self.name} {low:+.4g} to {high:+.4g} %"
 
 
 @dataclass(frozen=True)

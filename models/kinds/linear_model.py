@@ -13,7 +13,7 @@ over each time step, the direct effect J changes the deflections between steps. 
 step pushes the wheels.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 
@@ -22,6 +22,18 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Positive, check_fields, check_shape
 from models.common.errors import InputError, list_names, short_repr
+
+# The names of the columns of each matrix that has a row for each state, and of each matrix that has a row for each output
+OF_STATES = {"A": "states", "B": "inputs", "Bw": "disturbances", "Br": "disturbances", "Bt": "disturbances", "Bl": "loads"}
+OF_OUTPUTS = {"C": "states", "D": "inputs", "Cr": "disturbances", "Dw": "disturbances", "Dl": "loads"}
+AXES = {name: (rows, of[name]) for rows, of in (("states", OF_STATES), ("outputs", OF_OUTPUTS)) for name in of}
+OPTIONAL = ("Bl", "Dl", "Bt", "Dw")
+# Each matrix that acts on the states, with the matrix of the same input that acts directly on the outputs
+PAIRS = (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw"))
+
+
+def _zero() -> Array:
+    return np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +78,10 @@ class LinearModel:
     Cr: Array
     twist_rate: Positive = 1.0
     loads: tuple[str, ...] = ()
-    Bl: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    Dl: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    Bt: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    Dw: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    Bl: Array = field(default_factory=_zero)
+    Dl: Array = field(default_factory=_zero)
+    Bt: Array = field(default_factory=_zero)
+    Dw: Array = field(default_factory=_zero)
     heights: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -78,28 +90,10 @@ class LinearModel:
             names = getattr(self, what)
             if len(set(names)) < len(names):
                 raise InputError(f"{what} = {short_repr(names)} contains a name twice; give different names")
-        n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
-        pushes = len(self.loads)
-        if not pushes:
-            object.__setattr__(self, "Bl", np.zeros((n, 0)))
-            object.__setattr__(self, "Dl", np.zeros((p, 0)))
-        for name, rows in (("Bt", n), ("Dw", p)):
-            if not np.size(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros((rows, r)))
-        shapes = {
-            "Bt": (n, r),
-            "Dw": (p, r),
-            "Bl": (n, pushes),
-            "Dl": (p, pushes),
-            "A": (n, n),
-            "B": (n, m),
-            "Bw": (n, r),
-            "C": (p, n),
-            "D": (p, m),
-            "Br": (n, r),
-            "Cr": (p, r),
-        }
-        for name, shape in shapes.items():
+        for name, (rows, columns) in AXES.items():
+            shape = len(getattr(self, rows)), len(getattr(self, columns))
+            if name in OPTIONAL and not np.size(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(shape))
             if np.iscomplexobj(getattr(self, name)):
                 raise InputError(f"{name} has complex entries; give real numbers")
             matrix = np.array(getattr(self, name), dtype=float)
@@ -151,7 +145,7 @@ class LinearModel:
         """Returns the model with selected output signals, in the order of the model."""
         chosen = [name in outputs for name in self.outputs]
         names = tuple(compress(self.outputs, chosen))
-        rows = {name: getattr(self, name)[chosen] for name in ("C", "D", "Cr", "Dl", "Dw")}
+        rows = {name: getattr(self, name)[chosen] for name in OF_OUTPUTS}
         return replace(self, outputs=names, heights=tuple(self.over_datum(names)), **rows)
 
     def has_rate(self, output: str) -> bool:
@@ -171,15 +165,13 @@ class LinearModel:
         if not rates:
             return self
         index = [self.outputs.index(name) for name in rates.values()]
-        rows = {
-            "C": self.C[index] @ self.A,
-            "D": self.C[index] @ self.B,
-            "Cr": self.C[index] @ self.Br,
-            "Dl": self.C[index] @ self.Bl,
-            "Dw": np.zeros((len(index), len(self.disturbances))),
-        }
-        more = {name: np.vstack([getattr(self, name), more_rows]) for name, more_rows in rows.items()}
-        return replace(self, outputs=(*self.outputs, *rates), **more)
+        rows = {direct: self.C[index] @ getattr(self, acting) for acting, direct in PAIRS if direct != "Dw"}
+        return replace(self, outputs=(*self.outputs, *rates), **self._with_rows(OF_OUTPUTS, len(index), rows))
+
+    def _with_rows(self, matrices: Iterable[str], k: int, rows: Mapping[str, Array]) -> dict[str, Array]:
+        """Returns matrices with k additional rows, which are zero where `rows` does not contain them."""
+        given = {name: getattr(self, name) for name in matrices}
+        return {name: np.vstack([one, rows.get(name, np.zeros((k, one.shape[1])))]) for name, one in given.items()}
 
     def with_integrals(self, integrals: Mapping[str, Mapping[str, float]]) -> "LinearModel":
         """Returns the model with integrals of sums of output signals as additional states and outputs.
@@ -205,16 +197,13 @@ class LinearModel:
             more: rows of B, Bw, Bt, Br and Bl for the additional states; zero by default.
         """
         k, n = len(names), len(self.A)
-        rows = {
-            name: np.zeros((k, getattr(self, name).shape[1])) for name in ("B", "Bw", "Bt", "Br", "Bl", "D", "Cr", "Dl", "Dw")
-        }
         return replace(
             self,
             A=np.block([[self.A, np.zeros((n, k))], [np.pad(rates, ((0, 0), (0, n + k - rates.shape[1])))]]),
             C=np.block([[self.C, np.zeros((len(self.C), k))], [np.zeros((k, n)), np.eye(k)]]),
             states=(*self.states, *names),
             outputs=(*self.outputs, *names),
-            **{name: np.vstack([getattr(self, name), one]) for name, one in {**rows, **(more or {})}.items()},
+            **self._with_rows(AXES.keys() - {"A", "C"}, k, more or {}),
         )
 
     def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
@@ -249,7 +238,7 @@ class LinearModel:
         # Gains from the rates x' to the inerter forces p
         of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)
         moved: dict[str, Array] = {}
-        for acting, direct in (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw")):
+        for acting, direct in PAIRS:
             pull = of_rates @ getattr(self, acting)
             moved[acting], moved[direct] = getattr(self, acting) + push @ pull, getattr(self, direct) + shown @ pull
         return replace(self, Bw=self.Bw + push @ (of_rates @ self.Bw), **moved)
@@ -274,15 +263,12 @@ class LinearModel:
         """
         if bandwidth is None:
             return self
-        (n, m), r = self.B.shape, self.Bw.shape[1]
+        n, m = self.B.shape
         return replace(
             self,
             A=np.block([[self.A, self.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
             B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
-            Bw=np.vstack([self.Bw, np.zeros((m, r))]),
-            Br=np.vstack([self.Br, np.zeros((m, r))]),
-            Bl=np.vstack([self.Bl, np.zeros((m, len(self.loads)))]),
-            Bt=np.vstack([self.Bt, np.zeros((m, r))]),
+            **self._with_rows(("Bw", "Br", "Bl", "Bt"), m, {}),
             C=np.hstack([self.C, self.D]),
             D=np.zeros_like(self.D),
             states=(*self.states, *(f"lagged_{name}" for name in self.inputs)),

@@ -300,28 +300,20 @@ def linear_model(
     if body.wheel_loads:
         Bl = np.hstack([Bl, np.vstack([np.zeros((c + p + k, c)), push])])
 
-    q_ddot, q_ddot_u = A[c + p : c + p + k], B[c + p : c + p + k]
-    z_u_ddot, z_u_ddot_u = A[c + p + k :], B[c + p + k :]
     extra_t = t if p < c else t[:0]
-    C = np.vstack([np.eye(n), extra_t, q_ddot, S @ q_dot, S @ q_ddot, np.zeros((c, n)), z_u_ddot])
-    silent = np.zeros((n + len(extra_t), c))
-    D = np.vstack([silent, q_ddot_u, np.zeros((c, c)), S @ q_ddot_u, np.eye(c), z_u_ddot_u])
-    Cr = np.zeros((len(C), c))
-    Cr[n : n + len(extra_t)] = -N[: len(extra_t)]
-    Cr[-c:] = Br[c + p + k :]
-    Dw = np.zeros((len(C), c))
-    Dw[-c:] = Bt[c + p + k :]
-    Dl = np.zeros((len(C), Bl.shape[1]))
-    Dl[-c:] = Bl[c + p + k :]
-    first = n + len(extra_t)
-    for direct, acting in ((Cr, Br), (Dl, Bl)):
-        direct[first : first + k] = acting[c + p : c + p + k]
-        direct[first + k + c : first + k + 2 * c] = S @ acting[c + p : c + p + k]
+    lengths, heights = n + len(extra_t), 2 * c + 1
     # Heights above the datum: q = S+ (d + t + z_r) for the body, d + t + z_r above the corners, and t + z_r at the wheels.
     q, held = np.linalg.pinv(S)[:1], np.eye(c) - N
     over_datum = np.vstack([q @ (d + t), d + t, t])
-    C, Cr = np.vstack([C, over_datum]), np.vstack([Cr, q @ held, held, held])
-    D, Dw, Dl = (np.vstack([part, np.zeros((len(over_datum), part.shape[1]))]) for part in (D, Dw, Dl))
+    # The outputs are sums of the states, and accelerations: rates of sums of the states.
+    sums = np.vstack([np.eye(n), extra_t, np.zeros((k, n)), S @ q_dot, np.zeros((3 * c, n)), over_datum])
+    silent = np.zeros((lengths, n)), np.zeros((c, n)), np.zeros((heights, n))
+    rates_of = np.vstack([silent[0], q_dot, silent[1], S @ q_dot, silent[1], z_u_dot, silent[2]])
+    C, D, Cr, Dl, Dw = (rates_of @ acting for acting in (A, B, Br, Bl, Bt))
+    C = C + sums
+    D[-heights - 2 * c : -heights - c] = np.eye(c)
+    Cr[n:lengths] = -N[: len(extra_t)]
+    Cr[-heights:] = np.vstack([q @ held, held, held])
     names = names_of(outputs)
     rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
     return LinearModel(
@@ -342,7 +334,7 @@ def linear_model(
         Dl=Dl,
         Bt=Bt,
         Dw=Dw,
-        heights=names[len(names) - len(over_datum) :],
+        heights=names[-heights:],
     )
 
 

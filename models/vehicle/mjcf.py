@@ -345,52 +345,34 @@ def has_geometry(vehicle: Vehicle) -> bool:
 
     The model is nonlinear for one of three reasons. Masses, weights or lever arms of tendons and actuators may change with the
     position. A spring or damper may be a polynomial. A sensor may measure more than a sum of positions, velocities and
-    accelerations, for example the velocity of a point on a rotating body.
+    accelerations, for example the velocity of a point on a rotating body. For such a sensor, half of a motion does not give
+    half of the measurement. The test prescribes the motion, and ignores the forces that would be needed for it.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
-    bent = (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly)
-    if any(np.any(each) for each in bent):
+    if any(map(np.any, (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly))):
         return True
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    data, rng, combined = mujoco.MjData(model), np.random.default_rng(0), vehicle.kind.combined
+    names = list(dict.fromkeys(part for name in vehicle.sensed_signals for part in combined.get(name, {name: 1.0})))
 
-    def matrices(position: Array) -> list[Array]:
-        data.qpos[:] = position
-        mujoco.mj_forward(model, data)
-        return [np.array(each) for each in (data.M, data.qfrc_bias, data.ten_J, data.actuator_moment)]
-
-    rest = matrices(np.zeros(model.nq))
-    moved = [matrices(rng.uniform(-LARGEST_MOVE, LARGEST_MOVE, model.nq)) for _ in range(TRIALS)]
-    return any(
-        np.abs(there - here).max(initial=0.0) > CHANGE * np.abs(here).max(initial=0.0)
-        for trial in moved
-        for here, there in zip(rest, trial, strict=True)
-    ) or _reads_geometry(vehicle, model)
-
-
-def _reads_geometry(vehicle: Vehicle, model: mujoco.MjModel) -> bool:
-    """Returns True if a sensor of an output signal does not measure a sum of positions, velocities and accelerations.
-
-    For such a sensor, half of a motion does not give half of the measurement. The test prescribes the motion, and ignores the
-    forces that would be needed for it.
-    """
-    data, rng = mujoco.MjData(model), np.random.default_rng(1)
-    outputs, combined = vehicle.sensed_signals, vehicle.kind.combined
-    names = list(dict.fromkeys(part for name in outputs for part in combined.get(name, {name: 1.0})))
-
-    def read(motion: Array) -> Array:
+    def read(motion: Array) -> tuple[list[Array], Array]:
+        """Returns matrices and measurements for positions, velocities and accelerations, shape (3, n)."""
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = motion[0], motion[1]
         mujoco.mj_forward(model, data)
+        matrices = [np.array(each) for each in (data.M, data.qfrc_bias, data.ten_J, data.actuator_moment)]
         data.qacc[:] = motion[2]
         mujoco.mj_rnePostConstraint(model, data)
         mujoco.mj_sensorAcc(model, data)
         sensed = {name: data.sensor(name).data for name in names}
-        return np.array([model.sensor(name).user[: len(sensed[name])] @ sensed[name] for name in names])
+        return matrices, np.array([model.sensor(name).user[: len(sensed[name])] @ sensed[name] for name in names])
 
-    rest = read(np.zeros((3, model.nv)))
+    matrices, still = read(np.zeros((3, model.nv)))
     for _ in range(TRIALS):
         motion = rng.uniform(-1.0, 1.0, (3, model.nv)) * np.array([[LARGEST_MOVE], [1.0], [1.0]])
-        whole, half = read(motion) - rest, read(motion / 2) - rest
-        if np.any(np.abs(whole - 2 * half) > CHANGE * np.maximum(np.abs(whole), LARGEST_MOVE)):
+        (moved, whole), (_, half) = read(motion), read(motion / 2)
+        bent = np.abs(whole - 2 * half + still) > CHANGE * np.maximum(np.abs(whole - still), LARGEST_MOVE)
+        pairs = zip(matrices, moved, strict=True)
+        changed = (np.abs(there - here).max(initial=0.0) > CHANGE * np.abs(here).max(initial=0.0) for here, there in pairs)
+        if bent.any() or any(changed):
             return True
     return False
