@@ -13,10 +13,10 @@ from models.document.field import Field
 from synth.controller.controller import Controller
 from synth.controller.report import BOUND
 from synth.design.two_step import independently_measured, l_matrix, nullspace, r_matrix, well_posed
+from synth.lmi.central_path import PathPoint
 from synth.lmi.sdp import solve_lmi
-from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
-from synth.plant.units import own_units, reachable, size
+from synth.plant.units import own_units
 from synth.vehicle.designer import Designer
 
 # Allowed relative difference between the two values of gamma. Clarabel stops at an error of eta of 1e-8 relative to the entries
@@ -119,30 +119,18 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
     # The problem is written in the coordinates of (12) and in units that make all numbers similar to 1. In other coordinates
     # and units, Clarabel fails for a full car.
-    a, T = Q.shape[1], np.hstack([Q, R])
-    plant = units.into(problem.plant).in_coordinates(T)
-    scaling = reachable(plant, a)
-    plant, eye = plant.in_coordinates(scaling), np.eye(len(T))
-    rate, output_unit = size(plant.A), 1 / size(plant.C)
-    input_unit, disturbance_unit = rate / size(plant.B), rate / size(plant.Bw)
-    plant = Plant(
-        A=plant.A / rate,
-        B=plant.B * input_unit / rate,
-        Bw=plant.Bw * disturbance_unit / rate,
-        C=plant.C * output_unit,
-        D=plant.D * output_unit * input_unit,
-        Dw=plant.Dw * output_unit * disturbance_unit,
-    )
+    own, eye = PathPoint(units.into(problem.plant), Q, R, 0.0), np.eye(len(Q))
+    a = Q.shape[1]
     optima: list[float | None] = [None, None]
     remarks = []
-    for i, gain in enumerate((None, K @ scaling[a:, a:] / input_unit)):
+    for i, gain in enumerate((None, own.inputs.T @ K @ own.block_start / own.input_unit)):
         what = "" if gain is None else " with the designed gain"
         try:
-            solved = solve_lmi(plant, eye[:, :a], eye[:, a:], gain)
+            solved = solve_lmi(own.plant, eye[:, :a], eye[:, a:], gain)
         except DesignError as error:
             remarks.append(f"problem {which}{what}: {error}")
             continue
-        optima[i] = solved.gamma / (disturbance_unit * output_unit)
+        optima[i] = solved.gamma / (own.disturbance_unit * own.output_unit)
         if solved.status != "optimal":
             remarks.append(f"for problem {which}{what} Clarabel reports {solved.status!r}")
     return CrossCheck(which, bound / (1 + steps.optimum_gap), steps.optimum_gap, optima[0], optima[1], "; ".join(remarks))

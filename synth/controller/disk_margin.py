@@ -42,15 +42,6 @@ class DiskMargin:
 def disk_margin(cut: StateSpace) -> DiskMargin:
     """Returns the symmetric disk margin of a cut loop. The closed loop must be stable."""
     inverse, half = np.linalg.inv(np.eye(len(cut.D)) - cut.D), np.eye(len(cut.D)) / 2
-    n, k = cut.B.shape
     # The system is x' = A x + B u with u = v + d and z = u - d / 2.
-    sensitivity = Plant(
-        A=cut.loop_matrix(1.0),
-        B=np.zeros((n, 1)),
-        Bw=cut.B @ inverse,
-        C=inverse @ cut.C,
-        D=np.zeros((k, 1)),
-        Dw=inverse - half,
-    )
-    norm = hinf_norm(sensitivity)
+    norm = hinf_norm(Plant.without_inputs(cut.loop_matrix(1.0), cut.B @ inverse, inverse @ cut.C, inverse - half))
     return DiskMargin(min(1 / norm.value, 2.0), norm.peak_frequency)

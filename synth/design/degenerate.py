@@ -85,21 +85,15 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
         V, A = output_nulling_subspace(balanced, F)[1], balanced.closed_loop(F).A
         poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
         rounding = RANK * size(A)
-        if dt is None:
-            still = [
-                (abs(pole.imag) if abs(pole.imag) > rounding else 0.0, vector)
-                for pole, vector in zip(poles, vectors.T, strict=True)
-                if abs(pole.real) <= rounding
-            ]
-        else:  # each such pole has |1 + dt pole| = 1
-            still = [
-                (pole if abs(pole) > rounding else 0.0, vector)
-                for pole, vector in zip(poles, vectors.T, strict=True)
-                if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
-            ]
+        # each such pole lies on the imaginary axis or, for a discrete plant, has |1 + dt pole| = 1
+        still = [
+            (pole if abs(pole) > 2 * rounding else 0.0, vector)
+            for pole, vector in zip(poles, vectors.T, strict=True)
+            if abs(pole.real + (dt or 0.0) * abs(pole) ** 2 / 2) <= rounding
+        ]
         if still:  # the slowest mode is chosen explicitly, because rounding may change the order of the modes
             at, vector = min(still, key=lambda pair: abs(pair[0]))
-            where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
+            where = complex(0.0, abs(at.imag)) if dt is None else complex(1 + dt * at)
             return [
                 f"z does not contain the mode at {pole_text(where, dt)}, which does not decay and appears most in "
                 f"{largest(scale * (V @ vector), names)}, so the optimal loop is not stable; weight a signal that contains this "

@@ -13,8 +13,8 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg import lapack
@@ -118,6 +118,14 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
     return rows * len(of) + columns, np.arange(len(of)) * (len(of) + 1), np.where(rows == columns, 1.0, np.sqrt(2.0))
 
 
+class Logarithm(NamedTuple):
+    """Term weight * log(p_N) of a barrier: weight, slope 1 / p_N, and factor on the last diagonal entry of R^-1."""
+
+    weight: float
+    slope: float
+    ratio: float
+
+
 @dataclass(frozen=True, eq=False)
 class FactoredDerivatives(ABC):
     """First and second derivatives of sum log det at a point. The Hessian is given in the form S^-1 R' R S^-1.
@@ -125,28 +133,42 @@ class FactoredDerivatives(ABC):
     Attributes:
         trace: gradient, shape (N,).
         scale: diagonal of S, shape (N,).
-        triangle: upper triangular matrix R, shape (N, N), in C or Fortran order. Entries below its diagonal are arbitrary.
+        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. Entries below its diagonal
+            are arbitrary.
+        logarithm: logarithm of the last unknown, if the barrier contains it.
     """
 
     trace: Array
     scale: Array
     triangle: Array
+    logarithm: Logarithm | None = field(default=None, kw_only=True)
 
     def half(self, c: Array) -> Array:
         """Returns R^-T S c. The norm of this vector is the norm of c in the metric of the inverse Hessian."""
-        return _triangular(self.triangle, c * self.scale, transposed=True)
+        return self._scaled(_triangular(self.triangle, c * self.scale, transposed=True))
 
     def solve(self, half: Array) -> Array:
         """Returns S R^-1 half. If half = `half(c)`, the result is the inverse Hessian times c."""
-        return self.scale * _triangular(self.triangle, half, transposed=False)
+        return self.scale * _triangular(self.triangle, self._scaled(half.copy()), transposed=False)
 
     @abstractmethod
-    def rates(self, step: Array) -> Array:
+    def block_rates(self, step: Array) -> Array:
         """Returns the eigenvalues r of the step: from p to p + t step, log det changes by the sum of log(1 + t r)."""
 
+    def rates(self, step: Array) -> Array:
+        """Returns `block_rates`, followed by the rate of the logarithm."""
+        rates = self.block_rates(step)
+        return rates if self.logarithm is None else np.append(rates, self.logarithm.slope * step[-1])
+
     def lowest(self, slope: float, step: Array) -> float:
-        """Returns the step length t that minimises slope t minus sum log det along the step."""
-        return _lowest(slope, self.rates(step))
+        """Returns the step length t that minimises slope t minus sum log det, and minus the logarithm, along the step."""
+        rates = self.rates(step)
+        return _lowest(slope, rates, 1.0 if self.logarithm is None else np.append(np.ones(len(rates) - 1), self.logarithm.weight))
+
+    def _scaled(self, half: Array) -> Array:
+        if self.logarithm is not None:
+            half[-1] *= self.logarithm.ratio
+        return half
 
 
 def _triangular(R: Array, x: Array, transposed: bool) -> Array:
@@ -172,8 +194,8 @@ class Local(FactoredDerivatives):
     W: list[Array]
     numbers: Array | None = None
 
-    def rates(self, step: Array) -> Array:
-        """Returns `FactoredDerivatives.rates`."""
+    def block_rates(self, step: Array) -> Array:
+        """Returns `FactoredDerivatives.block_rates`."""
         rates = [_eigenvalues(step @ W) for W in self.W]
         return np.concatenate(rates if self.numbers is None else [*rates, step @ self.numbers])
 
@@ -196,7 +218,7 @@ class WithLogTerm:
     barrier: Derivatives
     weight: float
 
-    def at(self, p: Array) -> "RaisedLocal | None":
+    def at(self, p: Array) -> FactoredDerivatives | None:
         """Returns the derivatives at the point p; None if p is not feasible."""
         here = self.barrier.at(p) if p[-1] > 0 else None
         if here is None:
@@ -206,48 +228,7 @@ class WithLogTerm:
         # The logarithm changes only the last diagonal entry of the Hessian, and therefore only the last diagonal entry of R.
         corner = abs(float(here.triangle[-1, -1]))
         ratio = corner / math.hypot(corner, self.weight**0.5 * slope * float(here.scale[-1]))
-        return RaisedLocal(trace, here.scale, here.triangle, here, self.weight, slope, ratio)
-
-
-@dataclass(frozen=True, eq=False)
-class RaisedLocal(FactoredDerivatives):
-    """Derivatives of a `WithLogTerm` barrier at a point. The attribute `triangle` belongs to the barrier without the logarithm.
-
-    Attributes:
-        alone: derivatives of the barrier without the logarithm.
-        weight: weight of the logarithm.
-        slope: 1 / p_N.
-        ratio: last diagonal entry of R for the barrier without the logarithm, divided by the same entry for the barrier with
-            the logarithm.
-    """
-
-    alone: FactoredDerivatives
-    weight: float
-    slope: float
-    ratio: float
-
-    def half(self, c: Array) -> Array:
-        """Returns `FactoredDerivatives.half`."""
-        return self._scaled(self.alone.half(c))
-
-    def solve(self, half: Array) -> Array:
-        """Returns `FactoredDerivatives.solve`."""
-        return self.alone.solve(self._scaled(half.copy()))
-
-    def rates(self, step: Array) -> Array:
-        """Returns `FactoredDerivatives.rates`, followed by the rate of the logarithm."""
-        return np.append(self.alone.rates(step), self.slope * step[-1])
-
-    def lowest(self, slope: float, step: Array) -> float:
-        """Returns the same as `FactoredDerivatives.lowest`, but includes the weight of the logarithm."""
-        rates = self.rates(step)
-        weights = np.ones(len(rates))
-        weights[-1] = self.weight
-        return _lowest(slope, rates, weights)
-
-    def _scaled(self, half: Array) -> Array:
-        half[-1] *= self.ratio
-        return half
+        return replace(here, trace=trace, logarithm=Logarithm(self.weight, slope, ratio))
 
 
 def _eigenvalues(flat: Array) -> Array:

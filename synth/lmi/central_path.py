@@ -159,7 +159,7 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
     fits(unknowns(plant, Q.shape[1]), MOST_BORDERED if step else MOST, "the central path")
     with one_thread():
         try:
-            path = _Path(plant, Q, R, step)
+            path = PathPoint(plant, Q, R, step)
             path.find_feasible_point()
         except np.linalg.LinAlgError as error:
             raise NoSolutionError(
@@ -201,7 +201,7 @@ def fits(count: int, most: int, what: str) -> None:
         )
 
 
-class _Path:
+class PathPoint:
     """Current point of a central path, and the coordinates of this point."""
 
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:

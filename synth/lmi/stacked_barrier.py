@@ -115,8 +115,8 @@ class StackedLocal(FactoredDerivatives):
     inverse: Array
     alone: Array
 
-    def rates(self, step: Array) -> Array:
-        """Returns `FactoredDerivatives.rates`."""
+    def block_rates(self, step: Array) -> Array:
+        """Returns `FactoredDerivatives.block_rates`."""
         X = self.barrier.matrix(step)
         of_loops = np.linalg.eigvalsh(self.inverse @ self.barrier.change(X, step[-1]) @ self.inverse.swapaxes(1, 2))
         return np.concatenate([of_loops.ravel(), np.linalg.eigvalsh(self.alone @ X @ self.alone.T)])

@@ -295,8 +295,8 @@ class StructuredLocal(FactoredDerivatives):
     barrier: StructuredBarrier
     bases: list[Array]
 
-    def rates(self, step: Array) -> Array:
-        """Returns `FactoredDerivatives.rates`."""
+    def block_rates(self, step: Array) -> Array:
+        """Returns `FactoredDerivatives.block_rates`."""
         unknown = self.barrier.matrix(step)
         changes = []
         for part, U in zip(self.barrier.constraints, self.bases, strict=True):

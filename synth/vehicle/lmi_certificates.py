@@ -27,7 +27,7 @@ from synth.controller.controller import Controller
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import CSource
 from synth.controller.problem import plant_states, road_twist_inputs
-from synth.design.multi_objective.band_norm import EVERYWHERE
+from synth.design.descent.landscape import EVERYWHERE
 from synth.design.uncertainty.worst_case import stable_with_errors
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError

@@ -16,8 +16,8 @@ from synth.analysis.band_norm import norm_in_band
 from synth.analysis.energy_to_peak import energy_peaks
 from synth.analysis.specification import FREQUENCY, Specification
 from synth.analysis.stability import stability
+from synth.design.descent.landscape import EVERYWHERE
 from synth.design.multi_objective.band_filter import in_band
-from synth.design.multi_objective.band_norm import EVERYWHERE
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.worst_case import worst_of_norm

@@ -31,13 +31,15 @@ from scipy.linalg import lapack
 from models.common.arrays import Array
 from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings
 from synth.analysis.stability import balance
-from synth.plant.discrete import continuous_image
+from synth.plant.discrete import continuous_image, mapped_frequency
 from synth.plant.generalized import Plant
 
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and has no type stubs.
 
 FAR = 1e4  # a frequency above this multiple of the fastest pole counts as infinite
+EVERYWHERE = (0.0, np.inf)
+Band = tuple[float, float]  # lower and upper frequency [rad/s]
 POLES = 0.3  # work of computing the poles alone, as a share of the work of computing a norm
 
 
@@ -164,13 +166,16 @@ class Landscape:
         plant: Plant,
         structure: Array | None = None,
         work: Work | None = None,
+        band: Band = EVERYWHERE,
     ) -> None:
         """Args:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
         work: counter of the work for norms. Default: a counter without a limit.
+        band: lower and upper frequency [rad/s] between which gains count; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
+        self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)
         A, self.balancing = balance(image.A)
         each = self.balancing[:, None]
         inputs = {"B": image.B / each, "Bw": image.Bw / each}
@@ -295,13 +300,13 @@ class Landscape:
             above: limit; if the norm exceeds the limit, the search ends early and returns a lower bound.
         """
         self.work.done += self.price
-        modes = self.modes(x)
+        modes, (low, high) = self.modes(x), self.band
         poles = modes.poles
         if not (np.real(poles) < -1e-13 * np.abs(poles).max()).all():
             return np.inf, np.nan
         upper = poles[np.imag(poles) >= 0]
-        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks, modes.far[: self.noisy]])
-        best, at = modes.at_infinity, np.inf
+        omega = self._inside(np.concatenate([np.imag(upper), np.abs(upper), self.peaks, modes.far[: self.noisy]]))
+        best, at = (modes.at_infinity, np.inf) if np.isinf(high) else (0.0, low)
         for turn in range(30):
             gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
@@ -310,7 +315,7 @@ class Landscape:
                 break
             if best > above:
                 break
-            omega = level_crossings(modes.loop, best * (1 + NEAR))
+            omega = self._inside(level_crossings(modes.loop, best * (1 + NEAR)))
             omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
         if np.isfinite(at):
             self.peaks = [*self.peaks[-5:], at]
@@ -414,34 +419,40 @@ class Landscape:
         return np.tensordot(weights, second[:, :size, :size], 1)
 
     def summits(self, x: Array, level: float) -> Array:
-        """Returns the frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
-        modes = self.modes(x)
-        above = modes.at_infinity * (1 + 1e-6)
-        if level <= above and not self.noisy:
-            return np.unique(np.append(self.peaks, 0.0))
-        level, beyond = max(level, above), modes.far[: self.noisy]
-        edges = level_crossings(modes.loop, level)
-        inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
-        omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
+        """Returns the frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending.
+
+        An end of the band counts as a maximum if the gain decreases from this end into the band.
+        """
+        modes, (low, high) = self.modes(x), self.band
+        above, beyond = (modes.at_infinity * (1 + 1e-6), self.noisy) if np.isinf(high) else (0.0, False)
+        if level <= above and not beyond:
+            return self._inside(np.array(self.peaks))
+        level = max(level, above)
+        edges = self._inside(level_crossings(modes.loop, level))
+        between = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
+        omega = np.unique(np.concatenate([edges, between.ravel(), self._inside(np.array(self.peaks))]))
         gains = self._gains(modes, omega)
-        around = np.concatenate(
-            [[gains[min(1, len(gains) - 1)]], gains, [0.0]]
-            # the gain is the same at positive and negative frequencies
-        )
+        around = np.concatenate([[0.0], gains, [0.0]])
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
-        left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
-        middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
-        right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
-        return np.unique(
-            np.concatenate([np.abs(refine_maxima(partial(self._gains, modes), left, middle, right, gains[top])), beyond])
-        )
+        ends, top = omega[top[(top == 0) | (top == len(omega) - 1)]], top[(top > 0) & (top < len(omega) - 1)]
+        sides = omega[top - 1], omega[top], omega[top + 1]
+        inside = refine_maxima(partial(self._gains, modes), *sides, gains[top]) if len(top) else omega[:0]
+        return np.unique(np.concatenate([ends, np.clip(inside, low, high), modes.far[:beyond]]))
 
     def moving(self, omega: Array) -> Array:
         """Returns True for each frequency at which a peak moves if the gain changes.
 
-        A peak at zero frequency does not move, because the response is an even function of frequency.
+        A peak at zero frequency does not move, because the response is an even function of frequency. A peak at an end of the
+        band does not move, because the gain rises beyond this end.
         """
-        return omega > 0
+        low, high = self.band
+        return (omega > 0) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
+
+    def _inside(self, omega: Array) -> Array:
+        """Returns the frequencies within the band, with its finite ends, ascending."""
+        low, high = self.band
+        omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
+        return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))
 
     def _gains(self, modes: Modes, omega: Array) -> Array:
         """Returns the largest singular values at given frequencies, shape (F,)."""

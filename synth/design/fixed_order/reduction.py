@@ -20,6 +20,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
+from synth.design.full_order.full_order import bilinear
 from synth.design.full_order.riccati import split_modes
 from synth.plant.generalized import Plant
 
@@ -56,21 +57,6 @@ def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
                     slow.D + part.D,
                 )
                 yield whole if law.sample_period is None else bilinear(whole, law.sample_period)
-
-
-def bilinear(law: LinearLaw, period: float) -> LinearLaw:
-    """Returns the discrete law whose continuous counterpart by Tustin's method is the given law."""
-    if not law.states:
-        return LinearLaw(law.A, law.B, law.C, law.D, period)
-    turned, root = np.linalg.inv(np.eye(law.states) - period / 2 * law.A), np.sqrt(period)
-    out = law.C @ turned
-    return LinearLaw(
-        turned @ (np.eye(law.states) + period / 2 * law.A),
-        root * turned @ law.B,
-        root * out,
-        law.D + period / 2 * out @ law.B,
-        period,
-    )
 
 
 def _gramian(A: Array, B: Array, dt: float | None) -> Array:

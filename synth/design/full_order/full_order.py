@@ -52,19 +52,27 @@ def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLa
         DesignError: the law is infinite at s = infinity, which Tustin's method maps to z = -1.
         LinAlgError: the law has a pole at 2 / dt.
     """
-    A, B, C, D = law.A, law.B, law.C, law.D
-    at_once = np.eye(len(D)) + D @ image.Dyu
-    if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ image.Dyu, 2)):
+    direct = law.D @ image.Dyu
+    if np.linalg.svd(np.eye(len(direct)) + direct, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(direct, 2)):
         raise DesignError(
             "the full-order law would be infinite at z = -1, where the plant has a pole; remove this pole from the model, or "
             "design a static gain"
         )
-    after = np.linalg.inv(at_once)
-    taken = B @ image.Dyu @ after
-    A, B, C, D = A - taken @ C, B - taken @ D, after @ C, after @ D
-    turned = np.linalg.inv(np.eye(len(A)) - dt / 2 * A)
-    out, into = C @ turned, turned @ B
-    return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + K0, dt)
+    discrete = bilinear(law.fed_back(-image.Dyu), dt)
+    return replace(discrete, D=discrete.D + K0)
+
+
+def bilinear(law: LinearLaw, period: float) -> LinearLaw:
+    """Returns the discrete law whose continuous counterpart by Tustin's method is the given law."""
+    turned = np.linalg.inv(np.eye(law.states) - period / 2 * law.A)
+    into = turned @ law.B
+    return LinearLaw(
+        turned @ (np.eye(law.states) + period / 2 * law.A),
+        period * into,
+        law.C @ turned,
+        law.D + period / 2 * law.C @ into,
+        period,
+    )
 
 
 BEYOND = 10.0  # largest gain that is tried; in this unit, a gain of 1 moves poles to the allowed speed

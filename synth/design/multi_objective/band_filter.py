@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from models.common.arrays import Array
-from synth.design.multi_objective.band_norm import EVERYWHERE, Band
+from synth.design.descent.landscape import EVERYWHERE, Band
 from synth.plant.augmented import append, gain, series, transfer_function, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace

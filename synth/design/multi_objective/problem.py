@@ -21,9 +21,9 @@ from models.common.checks import (
 )
 from models.common.errors import InputError
 from synth.analysis.band_norm import check_band
-from synth.design.descent.landscape import Landscape
+from synth.design.descent.landscape import EVERYWHERE, Band, Landscape
 from synth.design.descent.terms import NormTerm, Term
-from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
+from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.road_response import RoadLoop

@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 
 from models.common.arrays import Array
-from synth.design.multi_objective.band_norm import Band, BandLandscape
+from synth.design.descent.landscape import Band
+from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
 TURNS = 4  # largest number of passes over all gain errors

@@ -14,10 +14,11 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.laws.linear import LinearLaw
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.uncertainty.structured_loop import StructuredLoop
-from synth.plant.augmented import append
+from synth.plant.augmented import append, closed_by
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
@@ -112,22 +113,13 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     The loop is from w to z or, if there is no performance block, from p to q.
     """
     M, k, E = structured.loop, structured.errors, append(*errors)
-    into, out = M.Bw[:, -k:], M.C[-k:]
-    inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
-    if np.linalg.cond(inside) > 1e12:
+    rows, q = slice(None, -k) if structured.performance else slice(None), M.Dw[-k:]
+    if np.linalg.cond(np.eye(k) - E.D @ q[:, -k:]) > 1e12:
         return None
-    # The loop is p = C_e x_e + D_e q with q = C_q x + D_qw w + D_qp p.
-    at_once = np.linalg.inv(inside)
-    rows = slice(None, -k) if structured.performance else slice(None)
-    p_x, p_e = at_once @ E.D @ out, at_once @ E.C
-    w_in = M.Dw[-k:, rows]
-    p_w = at_once @ E.D @ w_in
-    q_x, q_e, q_w = out + M.Dw[-k:, -k:] @ p_x, M.Dw[-k:, -k:] @ p_e, w_in + M.Dw[-k:, -k:] @ p_w
-    A = np.block([[M.A + into @ p_x, into @ p_e], [E.B @ q_x, E.A + E.B @ q_e]])
-    C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
-    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
-    Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
-    return Plant.without_inputs(A, Bw, C, Dw)
+    # The errors are a law from the last outputs, as measurements, to the last inputs.
+    outputs = {"Cy": M.C[-k:], "Dyu": q[:, -k:], "Dyw": q[:, rows]}
+    plant = Plant(M.A, M.Bw[:, -k:], M.Bw[:, rows], M.C[rows], M.Dw[rows, -k:], M.Dw[rows, rows], **outputs)
+    return closed_by(plant, LinearLaw(E.A, E.B, E.C, E.D))
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.analysis.invariant_point import limit_at
-from synth.design.multi_objective.band_norm import EVERYWHERE, Band
+from synth.design.descent.landscape import EVERYWHERE, Band
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
