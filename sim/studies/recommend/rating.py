@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.errors import InputError
 from sim.studies.recommend import GOALS
 from sim.studies.recommend.task import ROADS, WINDOW, Contender, Task
@@ -17,14 +16,11 @@ from sim.studies.ride.scores import score_of
 from synth.controller.controller import Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_of import loop_of
-from synth.controller.stability_margins import bilinear
+from synth.controller.stability_margins import bilinear, gain_crossings
 from synth.plant.loop import Loop
-from synth.plant.state_space import StateSpace
 
-# Step between the gain factors to try, in powers of e; number of bisections; and end of the range, as a power of the limit
-GRID, HALVINGS, BEYOND = 0.144, 6, 1.1
-NEARLY = 1e-6
-SWEEP = (0.3, 3e3, 200)  # lowest and highest frequency of the sweep [rad/s], and number of frequencies
+# factors between which the limits of stability are searched; 1 is halfway between two of them, so its neighbours are found
+GAINS = np.geomspace(1 / MOST_GAIN, MOST_GAIN, 16)
 EXCESS = 4.0  # penalty for exceeding a limit by a factor e, relative to the goal's value for the passive vehicle
 
 
@@ -73,57 +69,24 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
     force = max(mean[f"{name}_peak"] / most for name, most in task.forces.items())
     values = score_of(task.pushed, candidate.name, mean).values
     lifts = (values.get("off_ground") or 0.0, task.passive_values.get("off_ground") or 0.0)
-    return Rating(values, Usage(stroke, force, *margins_of(task, one, rough=True), *lifts))
+    return Rating(values, Usage(stroke, force, *margins_of(task, one), *lifts))
 
 
-def margins_of(task: Task, controller: Controller, rough: bool = False) -> tuple[float, float]:
-    """Returns the gain margin and the disk margin at all forces; each is the smaller one of implemented and ideal loop.
-
-    Args:
-        rough: True for a fast search: gain factors only up to the limit to the power `BEYOND`, disk margin on a frequency grid.
-    """
+def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
+    """Returns the gain margin and the disk margin at all forces; each is the smaller one of implemented and ideal loop."""
     if not controller.acts:
         return MOST_GAIN, 2.0
-    most = (task.within.gain_margin or 1.0) ** BEYOND if rough else MOST_GAIN
-    pairs = [_margins(loop_of(task.line, controller.feedback, task.coarse_step), most, rough)]
+    gain, disk = _margins(loop_of(task.line, controller.feedback, task.coarse_step))
     with suppress(InputError):  # without delay, the ideal loop has no solution if the measurements contain the force
-        pairs.append(_margins(loop_of(task.line, controller.feedback), most, rough))
-    gains, disks = zip(*pairs, strict=True)
-    return min(gains), min(disks)
+        ideal = _margins(loop_of(task.line, controller.feedback))
+        gain, disk = min(gain, ideal[0]), min(disk, ideal[1])
+    return gain, disk
 
 
-def _margins(loop: Loop, most: float, rough: bool) -> tuple[float, float]:
-    cut, factors = loop.cut(loop.forces), np.exp(np.arange(0.0, math.log(most) + GRID, GRID))[1:]
-
-    def grows(factors: Array) -> Array:
-        poles = np.linalg.eigvals(cut.loop_matrix(factors))
-        return np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9, axis=-1)
-
-    growing, gain = grows(np.concatenate([factors, 1 / factors, [1.0]])), most
-    if growing[-1]:
+def _margins(loop: Loop) -> tuple[float, float]:
+    cut = loop.cut(loop.forces)
+    poles = np.linalg.eigvals(cut.loop_matrix(1.0))
+    if np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9):
         return 1.0, 0.0
-    for power, row in zip((1.0, -1.0), growing[:-1].reshape(2, -1), strict=True):
-        if row.any():
-            high = float(factors[int(np.argmax(row))])
-            low = high * math.exp(-GRID)
-            for _ in range(HALVINGS):
-                middle = math.sqrt(low * high)
-                low, high = (low, middle) if grows(np.array([middle**power]))[0] else (middle, high)
-            gain = min(gain, low)
-    if rough:
-        return gain, _disk_by_sweep(cut)
-    # poles are moved slightly inwards, because the bilinear transform does not map a pole at z = -1
-    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut
-    return gain, disk_margin(bilinear(cut) if loop.period else cut).size
-
-
-def _disk_by_sweep(cut: StateSpace) -> float:
-    """Returns the disk margin over a grid and the pole frequencies; it is at least the true margin."""
-    poles, modes = np.linalg.eig(cut.loop_matrix(1.0))
-    rates = np.log(poles[np.abs(poles) > NEARLY].astype(complex)) / cut.dt if cut.dt else poles
-    omega = np.concatenate([np.geomspace(*SWEEP), *(share * np.abs(rates) for share in (0.97, 1.0, 1.03))])
-    inverse = np.linalg.inv(np.eye(len(cut.D)) - cut.D)
-    s = np.exp(1j * np.minimum(omega * cut.dt, np.pi)) if cut.dt else 1j * omega
-    left, right = inverse @ cut.C @ modes, np.linalg.solve(modes, cut.B @ inverse)
-    S = inverse + (left / (s[:, None, None] - poles)) @ right
-    return min(1 / float(np.linalg.svd(S - np.eye(len(cut.D)) / 2, compute_uv=False).max()), 2.0)
+    gains = [max(one, 1 / one) for one in gain_crossings(cut, GAINS)]
+    return min([MOST_GAIN, *gains]), disk_margin(bilinear(cut) if loop.period else cut).size

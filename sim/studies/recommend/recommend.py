@@ -20,7 +20,7 @@ from sim.studies.recommend.bound import lower_bound
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
 from sim.studies.recommend.optimal import certified
-from sim.studies.recommend.rating import Rating, margins_of, rate_expected
+from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import SPEED, Contender, Task
@@ -95,23 +95,20 @@ class _Work:
         self.left_out: dict[str, str] = {}
         self.sensors: dict[tuple[str, ...], float] = {}
         self.bound: float | None = None
-        self._lifts = 0.0
         self.reserve = RESERVE if task.random else 0.0
 
     def run(self) -> None:
         """Tunes, simulates and certifies all candidates."""
         task, searched = self.task, list[Family]()
         self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
-        planned = [family.evaluations for family, _ in families(task)]
-        for i, (family, groups) in enumerate(families(task)):
-            self._share = OF_SEARCH * sum(planned[:i]) / sum(planned)
+        planned = sum(family.evaluations for family, _ in families(task))
+        for family, groups in families(task):
             self._search(family, groups)
             searched.append(family)
-        self._share = OF_SEARCH
+            self._share += OF_SEARCH * family.evaluations / planned
         self._own()
         self._share = OF_DRIVES
-        for candidate in semi_active(task):
-            self.expected[candidate] = None
+        self.expected |= dict.fromkeys(semi_active(task))
         if not task.vehicle.dampers and task.random:
             bound = lower_bound(task)
             self.bound, why = (None, bound) if isinstance(bound, str) else (bound, "")
@@ -142,7 +139,8 @@ class _Work:
                 self.left_out[family.name] = family.failure.split(":")[0]
             elif best[0] not in self.expected:
                 self.expected[best[0]] = best[1]
-                self.sensors |= {groups: best[1].penalised(self.task)} if groups else {}
+                keeps = max(self.task.within.used(best[1].usage).values(), default=0.0) <= 1
+                self.sensors |= {groups: best[1].value(self.task) if keeps else math.inf} if groups else {}
 
     def _add(self, one: Contender) -> None:
         """Adds a candidate, unless its implemented loop is unstable."""
@@ -167,11 +165,10 @@ class _Work:
     def _drive(self) -> None:
         """Simulates the candidates that have not been simulated yet."""
         new = [one for one in self.expected if one not in self.driven]
-        ratings = drive_candidates(self.task, new, self._progress)
-        if not self.driven:  # the first candidate to be simulated is the passive vehicle
-            self._lifts = ratings[0].usage.off_ground
-        for one, rating in zip(new, ratings, strict=True):
-            self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=self._lifts))
+        for one, rating in zip(new, drive_candidates(self.task, new, self._progress), strict=True):
+            # the first candidate to be simulated is the passive vehicle
+            lifts = next(iter(self.driven.values()), rating).usage.off_ground
+            self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=lifts))
 
     def _repeat(self, family: Family) -> None:
         """Searches a family again if its best candidate exceeds limits in MuJoCo, or does not use them fully."""
@@ -210,22 +207,14 @@ class _Work:
             rating, driven = self.driven.get(one, expected), one in self.driven
             if rating is not None and math.isfinite(rating.value(self.task)):
                 used = self.task.within.used(rating.usage, self.reserve if driven else 0.0)
-                rows.append(RankedContender(one, rating, driven, max(used.values(), default=0.0) <= 1))
+                rows.append(RankedContender(one, rating, driven, used))
         for row in sorted(rows, key=lambda row: (not row.keeps, row.rating.penalised(self.task))):
             best.setdefault(row.candidate.name, row)
         return list(best.values())
 
-    def _exact(self, row: RankedContender) -> RankedContender:
-        """Returns a row with exact margins; the search computes margins only near the limits."""
-        one = row.candidate.controller
-        if row.driven or one.linear is not True:
-            return row
-        gain, disk = margins_of(self.task, one)
-        return replace(row, rating=replace(row.rating, usage=row.rating.usage._replace(gain_margin=gain, disk=disk)))
-
     def result(self, interrupted: bool = False) -> Recommendation:
         """Returns the recommendation from the candidates found so far."""
-        rows, left, task = [self._exact(row) for row in self.rows()], dict(self.left_out), self.task
+        rows, left, task = self.rows(), dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
         left |= {one.name: "a run ends early in MuJoCo" for one in self.driven if one.name not in named}
         if not {*task.line.linear_model.states} <= {*task.sensors}:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from string import ascii_lowercase
 
 import numpy as np
 from scipy import linalg
@@ -25,6 +26,7 @@ from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
 WINDOW = 10.0  # s, time over which each road is measured
+SEEDS = (0, 1, 2, 3, 4, 5)  # seeds of the random roads on which candidates are compared
 ROADS = 30  # linear analysis expects the largest value over this many windows of length `WINDOW`
 NOISE = 0.01  # noise that is assumed for a sensor without noise in the file, relative to the signal's rms without control
 # limit on the stroke, relative to the passive car's peak travel, and on the force, relative to the static load, if no limits
@@ -57,6 +59,16 @@ class Task:
     def random(self) -> bool:
         """True if the road is random and the response becomes stationary."""
         return self.road.spectrum is not None
+
+    @property
+    def roads(self) -> int:
+        """Number of roads on which each candidate is simulated."""
+        return len(SEEDS) if isinstance(self.road, Iso8608) else 1
+
+    @property
+    def road_words(self) -> str:
+        """Text that describes the road and the speed."""
+        return self.road.words.replace("random, ", "").replace(", seed 0", "")
 
     @property
     def spectrum(self) -> Spectrum:
@@ -176,6 +188,11 @@ class Task:
             group = name.removesuffix(next((one for one in endings if name.endswith(one)), ""))
             groups[group] = (*groups.get(group, ()), name)
         return groups
+
+    @property
+    def letters(self) -> Mapping[str, str]:
+        """Letter of every group of sensors."""
+        return dict(zip(self.groups, ascii_lowercase, strict=False))
 
     def given_noise(self, measured: Sequence[str]) -> list[float]:
         """Returns the rms noise of each sensor from the file; 0 if the file contains none."""
