@@ -148,22 +148,15 @@ def add_measured(parser: Parser) -> None:
     )
 
 
-def add_road(parser: Parser, default: str, seed: bool = True) -> None:
-    """Adds `--class`, `--road`, `--from`, `--speed` and, unless `seed` is False, `--seed`.
-
-    Args:
-        parser: parser of the command.
-        default: printed default of `--class`.
-        seed: False for a command that chooses the random roads itself.
-    """
+def add_road(parser: Parser, default: str) -> None:
+    """Adds `--class`, `--seed`, `--road`, `--from` and `--speed`. `default` is the printed default of `--class`."""
     parser.add_argument(
         "--class",
         dest="road_class",
         metavar="CLASS",
         help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
     )
-    if seed:
-        parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random road (default: 0)")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"road instead of --class: {ROAD_SYNTAX}".replace("%", "%%"))
     parser.add_number(
         "--from",

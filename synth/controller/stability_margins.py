@@ -165,12 +165,7 @@ def bilinear(cut: StateSpace) -> StateSpace:
 def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
     """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
-    Args:
-        cut: loop that is cut at its forces.
-        tried: factors between which changes are searched, shape (K,); two changes between neighbours are not found. Default:
-            all changes are computed, or searched on a fine grid for a loop with many states or with a feedthrough.
-
-    If the loop has a feedthrough, the factor at which the spectral radius of the feedthrough reaches 1 is also a limit. Beyond
+    If `tried` is given, only the intervals between these factors are searched, shape (K,). If the loop has a feedthrough, the factor at which the spectral radius of the feedthrough reaches 1 is also a limit. Beyond
     this factor, any delay makes the loop unstable. If this factor is below 1, the loop itself is only theoretical, and factors
     beyond it are returned, too.
     """

@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser, print_remarks
+from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import title_lines
-from sim.command.road_options import add_road, requested_road, road_text
+from models.vehicle.names import CLASSES, ROAD_SYNTAX
 from sim.studies.recommend import GOALS
 from sim.studies.study import Progress, Study, StudyRequest
 
@@ -41,8 +43,10 @@ examples:
     def add_options(self, parser: Parser) -> None:
         meaning = "vehicle file, or name of a built-in vehicle (default: quarter_car)"
         parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help=meaning)
-        add_road(parser, "C", seed=False)
-        parser.set_defaults(seed=0, loads=[], duration=LONGEST_RUN)
+        meaning = f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
+        parser.add_argument("--class", dest="road_class", metavar="CLASS", help=meaning)
+        parser.add_argument("--road", metavar="ROAD", help=f"road instead of --class: {ROAD_SYNTAX}".replace("%", "%%"))
+        parser.add_number("--speed", 20.0, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
         meaning = "what is minimised: weighted acceleration, dynamic tyre load or travel (default: ride)"
         parser.add_argument("--for", dest="goal", choices=[*GOALS], default="ride", help=meaning)
         meaning = (
@@ -60,7 +64,8 @@ examples:
         from sim.studies.recommend.within import read_within
 
         read_within(request.options.within or "")
-        road_text(request.options)
+        if request.options.road is not None and request.options.road_class is not None:
+            raise InputError("--class and --road exclude each other; omit one (--class C means --road iso8608:class=C)")
 
     def run(self, request: StudyRequest, progress: Progress) -> "Recommendation":
         from models.document.outputs import check_outputs
@@ -75,7 +80,9 @@ examples:
         options = request.options
         vehicle = print_remarks(read_vehicle(options.vehicle))
         check_outputs({"save": options.save}, [*vehicle.files, *named_files((options.road,))], options.json)
-        road = requested_road(vehicle, options, sample_times(vehicle, LONGEST_RUN, options.timestep))
+        text = options.road or f"iso8608:class={(options.road_class or 'C').upper()}"
+        road = FEATURES.load("roads by name").choose_road(text).build(vehicle, options.speed, 0, options.speed * LONGEST_RUN)
+        road.check(vehicle, sample_times(vehicle, LONGEST_RUN, options.timestep))
         progress(self.stages[0])
         effort = QUICK if options.quick else 1.0
         task = Task(vehicle, road, options.goal, read_within(options.within or ""), options.timestep, effort)

@@ -48,7 +48,8 @@ class Rating:
             factors: factors by which the used share of each limit is multiplied, by name; 1 if not given.
         """
         used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
-        return self.value(task) + EXCESS * task.usual * sum(math.log(max(one, 1.0)) for one in used.values())
+        usual = task.passive_values.get(GOALS[task.goal]) or 1.0
+        return self.value(task) + EXCESS * usual * sum(math.log(max(one, 1.0)) for one in used.values())
 
 
 def rate_expected(task: Task, candidate: Contender) -> Rating | None:

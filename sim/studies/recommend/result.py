@@ -71,8 +71,8 @@ class Recommendation(ShownResult):
     Attributes:
         task: task of the recommendation.
         rows: best candidate of each family; candidates that keep all limits come first.
-        sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no LQG law with
-            these sensors keeps the limits.
+        sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no law keeps the
+            limits.
         bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
         left_out: omitted families and controllers of the file, by name, each with the reason.
         reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
