@@ -36,14 +36,8 @@ from synth.vehicle.designer import Designer
 
 LQG, PREVIEW_TIME = "lqg", 0.2  # s, time for which the road ahead is known
 WK = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
-USUAL: Mapping[str, float] = {
-    "ride": -1.0,
-    "travel": -1.5,
-    "tyre": -2.5,
-    "force": -1.0,
-    "load": -2.0,
-    "noise": 0.0,
-}  # exponents of the usual weights, which are powers of e
+# exponents of the usual weights, which are powers of e
+USUAL: Mapping[str, float] = {"ride": -1.0, "travel": -1.5, "tyre": -2.5, "force": -1.0, "load": -2.0, "noise": 0.0}
 # for each goal, the weight that is fixed at 1 and not searched for
 FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}
 Weights = Mapping[str, float]
@@ -68,9 +62,8 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
     comfort, sums = max((task.rms[name] for name in points), default=1.0), tuple[WeightedSum, ...]()
     tyres = line.kind.static_tyre_deflection(line.parameters)
     sizes = {name: (min(stroke), "travel") for name, stroke in task.strokes.items()}
-    sizes |= {name: (static, "tyre") for name, static in tyres.items()} | {
-        name: (one, "force") for name, one in task.forces.items()
-    }
+    sizes |= {name: (static, "tyre") for name, static in tyres.items()}
+    sizes |= {name: (one, "force") for name, one in task.forces.items()}
     performance = {name: factors.get(what, 1.0) * 3 * comfort / size for name, (size, what) in sizes.items()}
     # orthogonal combinations of the points' accelerations have the same sum of squares, so that each mode of the body is
     # filtered only once

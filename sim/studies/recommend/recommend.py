@@ -17,10 +17,9 @@ from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend import GOALS
 from sim.studies.recommend.bound import lower_bound
-from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
 from sim.studies.recommend.optimal import certified
-from sim.studies.recommend.rating import Rating, rate_expected
+from sim.studies.recommend.rating import Rating, drive_candidates, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import SPEED, Contender, Task
@@ -28,9 +27,9 @@ from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept in reserve for random roads that are not simulated
-# Number of times that a search is repeated, used share of a limit below which it is repeated, safety factor, and smallest
-# factor that corrects the expected use of a limit
-ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3
+# Number of times that expected limits are corrected, used share of a limit below which they are, safety factor, and smallest
+# factor of a correction. Each correction but the last is followed by a search
+ROUNDS, SLACK, TIGHTER, LEAST = 3, 0.75, 1.05, 0.3
 HOPE = 1.1  # a search is not repeated for an active candidate whose value exceeds the best one by this factor
 CALIBRATED = ("stroke", "force", "lift")  # limits of which MuJoCo uses another share than linear analysis expects
 # share of the total time after which the first searches end, and after which the first simulations begin
@@ -114,9 +113,9 @@ class _Work:
             self.bound, why = (None, bound) if isinstance(bound, str) else (bound, "")
             self.left_out |= {"lower bound": why} if why else {}
         self._drive()
-        for _ in range(ROUNDS):
+        for i in range(ROUNDS):
             for family in searched:
-                self._repeat(family)
+                self._repeat(family, i < ROUNDS - 1)
             self._drive()
             self._share = (1 + self._share) / 2
         self._certify()
@@ -134,13 +133,17 @@ class _Work:
         try:
             family.search(self.task)
         finally:
-            best = family.best(self.task)
-            if best is None:
-                self.left_out[family.name] = family.failure.split(":")[0]
-            elif best[0] not in self.expected:
-                self.expected[best[0]] = best[1]
-                keeps = max(self.task.within.used(best[1].usage).values(), default=0.0) <= 1
-                self.sensors |= {groups: best[1].value(self.task) if keeps else math.inf} if groups else {}
+            self._take(family, groups)
+
+    def _take(self, family: Family, groups: tuple[str, ...] = ()) -> None:
+        """Adds the best candidate of a family."""
+        best = family.best(self.task)
+        if best is None:
+            self.left_out[family.name] = family.failure.split(":")[0]
+        elif best[0] not in self.expected:
+            self.expected[best[0]] = best[1]
+            keeps = max(self.task.within.used(best[1].usage).values(), default=0.0) <= 1
+            self.sensors |= {groups: best[1].value(self.task) if keeps else math.inf} if groups else {}
 
     def _add(self, one: Contender) -> None:
         """Adds a candidate, unless its implemented loop is unstable."""
@@ -170,8 +173,11 @@ class _Work:
             lifts = next(iter(self.driven.values()), rating).usage.off_ground
             self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=lifts))
 
-    def _repeat(self, family: Family) -> None:
-        """Searches a family again if its best candidate exceeds limits in MuJoCo, or does not use them fully."""
+    def _repeat(self, family: Family, search: bool) -> None:
+        """Corrects the limits of a family if its best candidate exceeds limits in MuJoCo, or does not use them fully.
+
+        If `search` is True, the family is then searched again. Otherwise, another candidate is chosen from those found before.
+        """
         task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:
             return
@@ -189,7 +195,10 @@ class _Work:
             # If a force is clipped, its peak does not show how much force is missing
             factor = max(factor, TIGHTER) if there[name] > 1 else factor
             family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / least)
-        self._search(family, again=" again")
+        if search:
+            self._search(family, again=" again")
+        else:
+            self._take(family)
 
     def _certify(self) -> None:
         """Computes the certificate of the best candidate of each family."""

@@ -1,7 +1,7 @@
 """Limits that a recommended controller must keep: stroke, force, stability margins, and contact of the tyres with the road."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Annotated, NamedTuple
 
 from models.common.checks import CheckedFields
@@ -90,7 +90,7 @@ def read_within(text: str) -> Within:
     Raises:
         InputError: a name is unknown or given twice, or a value is not allowed.
     """
-    usual, given = {one.name: one.default for one in fields(Within)}, dict[str, float | None]()
+    usual, given = asdict(Within()), dict[str, float | None]()
     with error_in("--within:"):
         for part in filter(None, map(str.strip, text.split(","))):
             name, _, value = map(str.strip, part.partition("="))
