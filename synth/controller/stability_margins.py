@@ -162,12 +162,13 @@ def bilinear(cut: StateSpace) -> StateSpace:
     return replace(cut, A=A, B=B, C=C, D=-cut.C @ B, dt=None)
 
 
-def gain_crossings(cut: StateSpace) -> list[float]:
+def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
     """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
-    If the loop has a feedthrough, the factor at which the spectral radius of the feedthrough reaches 1 is also a limit. Beyond
-    this factor, any delay makes the loop unstable. If this factor is below 1, the loop itself is only theoretical, and factors
-    beyond it are returned, too.
+    If `tried` is given, only the intervals between these factors are searched, shape (K,).
+
+    If the loop has a feedthrough, the factor at which its spectral radius reaches 1 is also a limit, because beyond this factor,
+    any delay makes the loop unstable. If it is below 1, the loop is only theoretical, and larger factors are returned, too.
     """
     n = len(cut.A)
     if cut.dt is not None:
@@ -184,10 +185,10 @@ def gain_crossings(cut: StateSpace) -> list[float]:
         # 1.
         radius = cut.feedthrough_radius
         turned = 1 / max(radius, 1 / LARGEST_FACTOR) if radius < 1 else math.inf
-        changes = _sign_changes(growth, FACTORS)
+        changes = _sign_changes(growth, FACTORS if tried is None else tried)
         return [*(k for k in changes if k < turned), *([turned] if turned < LARGEST_FACTOR else [])]
-    if cut.dt is not None and n > MOST_QUADRATIC:
-        return _sign_changes(growth, FACTORS)
+    if tried is not None or (cut.dt is not None and n > MOST_QUADRATIC):
+        return _sign_changes(growth, FACTORS if tried is None else tried)
     closed, M = cut.loop_matrix(1.0), cut.B @ cut.C
     if cut.dt is None:
         # The computation starts from the stable closed loop. With k = 1 + d, the matrix S + d T is singular if -1 / d is an

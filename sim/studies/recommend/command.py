@@ -43,31 +43,19 @@ examples:
     def add_options(self, parser: Parser) -> None:
         meaning = "vehicle file, or name of a built-in vehicle (default: quarter_car)"
         parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help=meaning)
-        parser.add_argument(
-            "--class",
-            dest="road_class",
-            metavar="CLASS",
-            help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)",
-        )
+        meaning = f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
+        parser.add_argument("--class", dest="road_class", metavar="CLASS", help=meaning)
         parser.add_argument("--road", metavar="ROAD", help=f"road instead of --class: {ROAD_SYNTAX}".replace("%", "%%"))
         parser.add_number("--speed", 20.0, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")
-        parser.add_argument(
-            "--for",
-            dest="goal",
-            choices=[*GOALS],
-            default="ride",
-            help="what is minimised: weighted acceleration, dynamic tyre load or travel (default: ride)",
+        meaning = "what is minimised: weighted acceleration, dynamic tyre load or travel (default: ride)"
+        parser.add_argument("--for", dest="goal", choices=[*GOALS], default="ride", help=meaning)
+        meaning = (
+            "limits LIMIT=VALUE, separated by commas; other limits keep their defaults, and LIMIT=none removes a limit "
+            "(default: stroke=95%%,force=100%%,gain_margin=6dB,disk=0.3,off_ground=0.1%%)"
         )
-        parser.add_argument(
-            "--within",
-            metavar="LIMITS",
-            help="limits LIMIT=VALUE, separated by commas; other limits keep their defaults, and LIMIT=none removes a limit "
-            "(default: "
-            "stroke=95%%,force=100%%,gain_margin=6dB,disk=0.3,off_ground=0.1%%)",
-        )
-        parser.add_argument(
-            "--save", type=Path, metavar="FILE", help="write the vehicle file with the best controller as [controllers.best]"
-        )
+        parser.add_argument("--within", metavar="LIMITS", help=meaning)
+        meaning = "write the vehicle file with the best controller as [controllers.best]"
+        parser.add_argument("--save", type=Path, metavar="FILE", help=meaning)
         parser.add_argument("--quick", action="store_true", help="search only a tenth of the candidates")
         parser.add_number("--timestep", 1e-3, "s", "integration step of MuJoCo")
         parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
@@ -75,9 +63,8 @@ examples:
     def check(self, request: StudyRequest) -> None:
         from sim.studies.recommend.within import read_within
 
-        options = request.options
-        read_within(options.within or "")
-        if options.road is not None and options.road_class is not None:
+        read_within(request.options.within or "")
+        if request.options.road is not None and request.options.road_class is not None:
             raise InputError("--class and --road exclude each other; omit one (--class C means --road iso8608:class=C)")
 
     def run(self, request: StudyRequest, progress: Progress) -> "Recommendation":
@@ -86,7 +73,7 @@ examples:
         from models.vehicle.vehicle import read_vehicle
         from sim.runs.run import sample_times
         from sim.studies.recommend.recommend import recommendation
-        from sim.studies.recommend.save import save
+        from sim.studies.recommend.result import save
         from sim.studies.recommend.task import Task
         from sim.studies.recommend.within import read_within
 
@@ -95,10 +82,10 @@ examples:
         check_outputs({"save": options.save}, [*vehicle.files, *named_files((options.road,))], options.json)
         text = options.road or f"iso8608:class={(options.road_class or 'C').upper()}"
         road = FEATURES.load("roads by name").choose_road(text).build(vehicle, options.speed, 0, options.speed * LONGEST_RUN)
-        limits, effort = read_within(options.within or ""), QUICK if options.quick else 1.0
-        task = Task(vehicle, road, options.goal, limits, options.timestep, effort)
         road.check(vehicle, sample_times(vehicle, LONGEST_RUN, options.timestep))
         progress(self.stages[0])
+        effort = QUICK if options.quick else 1.0
+        task = Task(vehicle, road, options.goal, read_within(options.within or ""), options.timestep, effort)
         result = recommendation(task, progress)
         if options.save is not None and not result.interrupted and result.saved is not None:
             save(options.save, result)
@@ -108,27 +95,22 @@ examples:
         return result.summary
 
     def record(self, request: StudyRequest, result: "Recommendation") -> dict[str, Any]:
-        from sim.studies.recommend.result import record
+        from sim.studies.recommend.result import RECORD
 
-        return {**record(result), "save": None if request.options.save is None else str(request.options.save)}
+        return {**RECORD(result), "save": None if request.options.save is None else str(request.options.save)}
 
     def title(self, request: StudyRequest, result: "Recommendation") -> str:
-        from sim.studies.recommend.result import road_words
-
-        return f"{result.task.vehicle.kind.name} over a road: {road_words(result.task)}"
+        return f"{result.task.vehicle.kind.name} over a road: {result.task.road_words}"
 
     def lines(self, request: StudyRequest, result: "Recommendation", files: Sequence[str]) -> list[str]:
         from models.document.outputs import written_lines
-        from models.document.text import text_lines
 
         saved = None if result.interrupted or request.options.save is None else result.saved
         written = written_lines({"save": saved and request.options.save})
         if saved is not None and saved is not result.best:
-            written.append(
-                f"The file contains {saved.candidate.name}, because the best controller needs the road ahead, or Python."
-            )
-        title = title_lines(self.title(request, result), result.task.vehicle.source)
-        return [*title, *text_lines(self.describe(request, result)), *written]
+            name = saved.candidate.name
+            written.append(f"The file contains {name}, because the best controller needs the road ahead, or Python.")
+        return [*title_lines(self.title(request, result), result.task.vehicle.source), *repr(result).splitlines(), *written]
 
     def holds(self, result: "Recommendation") -> bool:
         if result.interrupted:

@@ -116,17 +116,18 @@ def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
 
 def semi_active(task: Task) -> list[Contender]:
     """Returns semi-active laws, each with several parameter values; empty if the vehicle has no semi-active dampers."""
-    model, kind, found = task.vehicle.linear_model, task.vehicle.kind, list[Contender]()
-    places = {one.force: one.ending for one in kind.suspensions}
-    most, modes = max((getattr(one, "c_max", 0.0) for one in task.vehicle.dampers.values()), default=0.0), MODES
+    model, candidates = task.vehicle.linear_model, list[Contender]()
+    places = {one.force: one.ending for one in task.vehicle.kind.suspensions}
+    most = max((getattr(one, "c_max", 0.0) for one in task.vehicle.dampers.values()), default=0.0)
     for name, (_, _, own) in LAWS.items() if task.vehicle.dampers else ():
-        sky = [{"sky_damping": share * most} for share in SKY] if "sky_damping" in own and most else [{}]
-        values = [one | {"mix": mix} for one in sky for mix in MIX] if "mix" in own else sky
+        values = [{"sky_damping": share * most} for share in SKY] if "sky_damping" in own and most else [{}]
+        values = [one | {"mix": mix} for one in values for mix in MIX] if "mix" in own else values
         values = [{"crossover": one} for one in CROSSOVER] if "crossover" in own else values
-        of_body = tuple(mode for mode in modes if mode in model.outputs) if name == "skyhook_modal" else ()
+        modal = name == "skyhook_modal"
+        of_body = tuple(mode for mode in MODES if modal and mode in model.outputs)
         for one in values:
             law = SemiActiveLaw(name, tuple(one.items()), tuple(places.get(force, "") for force in model.inputs), of_body)
-            if {*law.measured} <= {*model.outputs} and (of_body or name != "skyhook_modal"):
+            if {*law.measured} <= {*model.outputs} and (of_body or not modal):
                 text = ", ".join(f"{key} {brief(value)}" for key, value in one.items())
-                found.append(Contender(f"{name} law", SemiActive(name, law), task.vehicle, text))
-    return found
+                candidates.append(Contender(f"{name} law", SemiActive(name, law), task.vehicle, text))
+    return candidates

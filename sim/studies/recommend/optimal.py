@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.errors import InputError
 from models.common.extensions import METHODS
+from models.laws.design_methods import PREVIEW
 from models.laws.design_request import DesignRequest, LawStructure
 from models.laws.filter import WEIGHTINGS, Filter
 from models.laws.linear import LinearLaw
@@ -29,31 +29,22 @@ from synth.controller.problem import Problem, problem
 from synth.design.descent.landscape import Work
 from synth.design.fixed_order.reduction import reductions
 from synth.design.full_order.quadratic import lqg_law
-from synth.design.full_order.riccati import RiccatiSearch
+from synth.design.full_order.riccati import LARGEST, RiccatiSearch
 from synth.design.problem import DesignProblem, quiet
-from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 
-LQG = "lqg"
+LQG, PREVIEW_TIME = "lqg", 0.2  # s, time for which the road ahead is known
 WK = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
-USUAL: Mapping[str, float] = {
-    "ride": -1.0,
-    "travel": -1.5,
-    "tyre": -2.5,
-    "force": -1.0,
-    "load": -2.0,
-    "noise": 0.0,
-}  # exponents of the usual weights, which are powers of e
+# exponents of the usual weights, which are powers of e
+USUAL: Mapping[str, float] = {"ride": -1.0, "travel": -1.5, "tyre": -2.5, "force": -1.0, "load": -2.0, "noise": 0.0}
 # for each goal, the weight that is fixed at 1 and not searched for
 FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}
 Weights = Mapping[str, float]
 # The H-infinity design adds noise and cost to the plant, as a share of the plant's own terms; without them, its Riccati
 # equations may have no solution. A larger share leads to larger stability margins.
 SHARE, SHARES = "share", (-1.0, 2.0)  # name of the variable s that determines the share, which is 10^(-1 - 2 s), and range of s
-# Number of steps in the search for the smallest H-infinity level, ratio of levels at which the search ends, and level of the
-# law relative to the smallest level
-LEVELS, CLOSE, ABOVE = 24, 1.2, 1.1
+ABOVE = 1.2  # level of an H-infinity law relative to the smallest level at which a law exists
 NORMS = 200  # largest number of norms that the search for a law with fewer states computes
 
 
@@ -71,9 +62,8 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
     comfort, sums = max((task.rms[name] for name in points), default=1.0), tuple[WeightedSum, ...]()
     tyres = line.kind.static_tyre_deflection(line.parameters)
     sizes = {name: (min(stroke), "travel") for name, stroke in task.strokes.items()}
-    sizes |= {name: (static, "tyre") for name, static in tyres.items()} | {
-        name: (one, "force") for name, one in task.forces.items()
-    }
+    sizes |= {name: (static, "tyre") for name, static in tyres.items()}
+    sizes |= {name: (one, "force") for name, one in task.forces.items()}
     performance = {name: factors.get(what, 1.0) * 3 * comfort / size for name, (size, what) in sizes.items()}
     # orthogonal combinations of the points' accelerations have the same sum of squares, so that each mode of the body is
     # filtered only once
@@ -86,24 +76,21 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
     return replace(line, performance=performance, filters={}, road_filter=None, sums=sums, sampled=False, limits=limits)
 
 
-def design(
-    task: Task, name: str, measured: Sequence[str], weights: Weights, method: str | int = LQG, preview: float = 0.0
-) -> Controller:
+def design(task: Task, name: str, measured: Sequence[str], weights: Weights, method: str | int = LQG) -> Controller:
     """Returns the controller of a method for these weights.
 
     Args:
         weights: powers of e of the weights, and `SHARE` for H-infinity, by name.
         method: `LQG`, "full" (full-order H-infinity), "" (static, by the two-step method), a number of states, or "preview".
-        preview: time by which the road is known ahead [s].
 
     Raises:
         DesignError, InputError: no controller can be designed for these weights.
     """
     car = weighted_vehicle(task, weights)
     bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
-    if preview:  # preview needs measurements of all states, but no sensor measures the states of a filter
+    if method == PREVIEW:  # preview needs measurements of all states, but no sensor measures the states of a filter
         car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
-        request = DesignRequest(design=str(method), preview=preview)
+        request = DesignRequest(design=PREVIEW, preview=PREVIEW_TIME)
         entry = ControllerEntry(name, tuple(measured), request, hardware=DesignConditions(bandwidth=bandwidth))
         return replace(Designer(replace(car, controllers={name: entry}), search=False).design(name), hardware=own_hardware(task))
     loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
@@ -121,33 +108,14 @@ def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float
         return lqg_law(plant, noise)
     if method == "":
         return METHODS.load("two_steps")(given, quiet).law
-    full = _central(plant, 10.0 ** (SHARES[0] - SHARES[1] * share))
-    if not isinstance(method, int):
-        return full
-    start = replace(given, structure=LawStructure(method), known=[*reductions(plant, full, method)], work=Work(NORMS))
-    return METHODS.load("structured")(start, quiet).law
-
-
-def _central(plant: Plant, share: float) -> LinearLaw:
-    """Returns the central H-infinity law for a level slightly above the smallest one at which a law exists.
-
-    Raises:
-        DesignError: no law exists at any level that was tried.
-    """
-    search, low, high, level = RiccatiSearch(plant, 0.0), 0.0, math.inf, 1.0
-    for _ in range(LEVELS):
-        try:
-            search.law(share, level)
-            high = level
-        except InputError:
-            low = level
-        if high < CLOSE * low:
-            break
-        level = high / 4 if not low else 4 * low if math.isinf(high) else math.sqrt(low * high)
-    point = search.traded(share, ABOVE * high) if math.isfinite(high) else None
-    if point is None:
+    search, share = RiccatiSearch(plant, 0.0), 10.0 ** (SHARES[0] - SHARES[1] * share)
+    full = search.traded(share, ABOVE * search.smallest(share, LARGEST))
+    if full is None:
         raise DesignError("its Riccati equations have no solution")
-    return point.law
+    if not isinstance(method, int):
+        return full.law
+    start = replace(given, structure=LawStructure(method), known=[*reductions(plant, full.law, method)], work=Work(NORMS))
+    return METHODS.load("structured")(start, quiet).law
 
 
 def own_hardware(task: Task) -> DesignConditions:

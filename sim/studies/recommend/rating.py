@@ -1,31 +1,44 @@
-"""Rating of a candidate in linear analysis: expected metrics over the road, and stability margins."""
+"""Rating of a candidate: in linear analysis, with stability margins, and in MuJoCo over several roads.
+
+In linear analysis, metrics are expected values over the road. Runs in MuJoCo include bump stops, clipped forces, lift-off and
+sensor noise.
+"""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.errors import InputError
+from models.roads.iso8608 import Iso8608
+from sim.drive.case import Case
+from sim.drive.drive import drive
+from sim.drive.driver import Failure
+from sim.drive.regime import FLAT, REGIME_ENDS, end_times
+from sim.drive.response import Response
+from sim.observers.recorder import Recorder
+from sim.runs.run import sample_times
 from sim.studies.recommend import GOALS
-from sim.studies.recommend.task import ROADS, WINDOW, Contender, Task
+from sim.studies.recommend.task import ROADS, SEEDS, WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
-from sim.studies.ride.expected import expect
-from sim.studies.ride.scores import score_of
-from synth.controller.controller import Controller
+from sim.studies.ride.expected import expect, passive_settling_time, settling_time
+from sim.studies.ride.metrics import measure
+from sim.studies.ride.scores import score_of, score_over_runs
+from synth.controller.controller import Controller, is_linear
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_of import loop_of
-from synth.controller.stability_margins import bilinear
+from synth.controller.stability_margins import bilinear, gain_crossings
 from synth.plant.loop import Loop
-from synth.plant.state_space import StateSpace
 
-# Step between the gain factors to try, in powers of e; number of bisections; and end of the range, as a power of the limit
-GRID, HALVINGS, BEYOND = 0.144, 6, 1.1
-NEARLY = 1e-6
-SWEEP = (0.3, 3e3, 200)  # lowest and highest frequency of the sweep [rad/s], and number of frequencies
+# factors between which the limits of stability are searched; 1 is halfway between two of them, so its neighbours are found
+GAINS = np.geomspace(1 / MOST_GAIN, MOST_GAIN, 16)
 EXCESS = 4.0  # penalty for exceeding a limit by a factor e, relative to the goal's value for the passive vehicle
+LONGEST = 5.0  # s, longest transient that is awaited before the measurement
+SETTLED, MOST_TIME = 3.0, 60.0  # s, time that a run continues after an obstacle, and longest run over a road from a file
+AT_ONCE = 24  # number of runs in a batch
+BROKEN = Usage(math.inf, math.inf, 1.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +65,8 @@ class Rating:
             factors: factors by which the used share of each limit is multiplied, by name; 1 if not given.
         """
         used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
-        return self.value(task) + EXCESS * task.usual * sum(math.log(max(one, 1.0)) for one in used.values())
+        usual = task.passive_values.get(GOALS[task.goal]) or 1.0
+        return self.value(task) + EXCESS * usual * sum(math.log(max(one, 1.0)) for one in used.values())
 
 
 def rate_expected(task: Task, candidate: Contender) -> Rating | None:
@@ -73,57 +87,71 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
     force = max(mean[f"{name}_peak"] / most for name, most in task.forces.items())
     values = score_of(task.pushed, candidate.name, mean).values
     lifts = (values.get("off_ground") or 0.0, task.passive_values.get("off_ground") or 0.0)
-    return Rating(values, Usage(stroke, force, *margins_of(task, one, rough=True), *lifts))
+    return Rating(values, Usage(stroke, force, *margins_of(task, one), *lifts))
 
 
-def margins_of(task: Task, controller: Controller, rough: bool = False) -> tuple[float, float]:
-    """Returns the gain margin and the disk margin at all forces; each is the smaller one of implemented and ideal loop.
-
-    Args:
-        rough: True for a fast search: gain factors only up to the limit to the power `BEYOND`, disk margin on a frequency grid.
-    """
+def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
+    """Returns the gain margin and the disk margin at all forces; each is the smaller one of implemented and ideal loop."""
     if not controller.acts:
         return MOST_GAIN, 2.0
-    most = (task.within.gain_margin or 1.0) ** BEYOND if rough else MOST_GAIN
-    pairs = [_margins(loop_of(task.line, controller.feedback, task.coarse_step), most, rough)]
+    gain, disk = _margins(loop_of(task.line, controller.feedback, task.coarse_step))
     with suppress(InputError):  # without delay, the ideal loop has no solution if the measurements contain the force
-        pairs.append(_margins(loop_of(task.line, controller.feedback), most, rough))
-    gains, disks = zip(*pairs, strict=True)
-    return min(gains), min(disks)
+        ideal = _margins(loop_of(task.line, controller.feedback))
+        gain, disk = min(gain, ideal[0]), min(disk, ideal[1])
+    return gain, disk
 
 
-def _margins(loop: Loop, most: float, rough: bool) -> tuple[float, float]:
-    cut, factors = loop.cut(loop.forces), np.exp(np.arange(0.0, math.log(most) + GRID, GRID))[1:]
-
-    def grows(factors: Array) -> Array:
-        poles = np.linalg.eigvals(cut.loop_matrix(factors))
-        return np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9, axis=-1)
-
-    growing, gain = grows(np.concatenate([factors, 1 / factors, [1.0]])), most
-    if growing[-1]:
+def _margins(loop: Loop) -> tuple[float, float]:
+    cut = loop.cut(loop.forces)
+    poles = np.linalg.eigvals(cut.loop_matrix(1.0))
+    if np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9):
         return 1.0, 0.0
-    for power, row in zip((1.0, -1.0), growing[:-1].reshape(2, -1), strict=True):
-        if row.any():
-            high = float(factors[int(np.argmax(row))])
-            low = high * math.exp(-GRID)
-            for _ in range(HALVINGS):
-                middle = math.sqrt(low * high)
-                low, high = (low, middle) if grows(np.array([middle**power]))[0] else (middle, high)
-            gain = min(gain, low)
-    if rough:
-        return gain, _disk_by_sweep(cut)
-    # poles are moved slightly inwards, because the bilinear transform does not map a pole at z = -1
-    cut = replace(cut, A=(1 - NEARLY) * cut.A) if loop.period else cut
-    return gain, disk_margin(bilinear(cut) if loop.period else cut).size
+    gains = [max(one, 1 / one) for one in gain_crossings(cut, GAINS)]
+    return min([MOST_GAIN, *gains]), disk_margin(bilinear(cut) if loop.period else cut).size
 
 
-def _disk_by_sweep(cut: StateSpace) -> float:
-    """Returns the disk margin over a grid and the pole frequencies; it is at least the true margin."""
-    poles, modes = np.linalg.eig(cut.loop_matrix(1.0))
-    rates = np.log(poles[np.abs(poles) > NEARLY].astype(complex)) / cut.dt if cut.dt else poles
-    omega = np.concatenate([np.geomspace(*SWEEP), *(share * np.abs(rates) for share in (0.97, 1.0, 1.03))])
-    inverse = np.linalg.inv(np.eye(len(cut.D)) - cut.D)
-    s = np.exp(1j * np.minimum(omega * cut.dt, np.pi)) if cut.dt else 1j * omega
-    left, right = inverse @ cut.C @ modes, np.linalg.solve(modes, cut.B @ inverse)
-    S = inverse + (left / (s[:, None, None] - poles)) @ right
-    return min(1 / float(np.linalg.svd(S - np.eye(len(cut.D)) / 2, compute_uv=False).max()), 2.0)
+def drive_candidates(
+    task: Task, candidates: Sequence[Contender], progress: Callable[[str], None], seeds: Sequence[int] = SEEDS
+) -> list[Rating]:
+    """Returns the rating of each candidate in MuJoCo over the road, or over random roads with these seeds.
+
+    A candidate with an aborted run has no values. On random roads, the measurement begins when the transients have decayed; on
+    other roads it begins at the start.
+    """
+    road = task.road
+    roads = [replace(road, seed=seed) for seed in seeds] if isinstance(road, Iso8608) else [road]
+    start, duration = 0, min(road.duration + SETTLED, MOST_TIME) if math.isfinite(road.duration) else WINDOW
+    if task.random:
+        slowest = max(settling_time(one.vehicle.linearised, one.controller) for one in candidates)
+        start = math.ceil(min(max(slowest, passive_settling_time(task.line)), LONGEST))
+        duration = start + WINDOW
+    time, ratings, count = sample_times(task.vehicle, duration, task.timestep), list[Rating](), max(1, AT_ONCE // len(roads))
+    for first in range(0, len(candidates), count):
+        progress(f"{first} of {len(candidates)} candidates simulated")
+        some, failures = candidates[first : first + count], dict[int, Failure]()
+        cases = [Case(one.vehicle, one.controller, each) for one in some for each in roads]
+        (recordings,) = drive(cases, time, Recorder, threads=0, failures=failures)
+        for i, one in enumerate(some):
+            runs = range(i * len(roads), (i + 1) * len(roads))
+            responses = [] if {*runs} & {*failures} else [recordings[k].response for k in runs]
+            ratings.append(_rating(task, one, responses, round(start / task.timestep)))
+    return ratings
+
+
+def _rating(task: Task, one: Contender, responses: Sequence[Response], first: int) -> Rating:
+    """Returns the rating of a candidate from its runs, of which the samples from `first` on are measured."""
+    flat = REGIME_ENDS.index(FLAT)
+    ends = [min(each.diverged, end_times(one.vehicle, each)[flat]) for each in responses] or [0.0]
+    if math.isfinite(min(ends)):
+        return Rating(score_of(one.vehicle, one.name, {}).values, BROKEN)
+    runs = [measure(one.vehicle, each, first, speed=task.road.speed) for each in responses]
+    metrics = {name: np.array([run[name] for run in runs]) for name in runs[0]}
+
+    def most(name: str, down: float, up: float) -> float:
+        return max(float(max(-each[name][first:].min() / down, each[name][first:].max() / up)) for each in responses)
+
+    stroke = max(most(name, *ends) for name, ends in task.strokes.items())
+    force = max(most(name, limit, limit) for name, limit in task.forces.items()) if one.pushes else 0.0
+    lifted = max(score_of(one.vehicle, one.name, run).values.get("off_ground") or 0.0 for run in runs)
+    margins = margins_of(task, one.controller) if one.pushes and is_linear(one.controller, one.vehicle) else (MOST_GAIN, 2.0)
+    return Rating(score_over_runs(one.vehicle, one.name, metrics).values, Usage(stroke, force, *margins, lifted))

@@ -17,10 +17,9 @@ from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend import GOALS
 from sim.studies.recommend.bound import lower_bound
-from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
 from sim.studies.recommend.optimal import certified
-from sim.studies.recommend.rating import Rating, margins_of, rate_expected
+from sim.studies.recommend.rating import Rating, drive_candidates, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import SPEED, Contender, Task
@@ -28,9 +27,9 @@ from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept in reserve for random roads that are not simulated
-# Number of times that a search is repeated, used share of a limit below which it is repeated, safety factor, and smallest
-# factor that corrects the expected use of a limit
-ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3
+# Number of times that expected limits are corrected, used share of a limit below which they are, safety factor, and smallest
+# factor of a correction. Each correction but the last is followed by a search
+ROUNDS, SLACK, TIGHTER, LEAST = 3, 0.75, 1.05, 0.3
 HOPE = 1.1  # a search is not repeated for an active candidate whose value exceeds the best one by this factor
 CALIBRATED = ("stroke", "force", "lift")  # limits of which MuJoCo uses another share than linear analysis expects
 # share of the total time after which the first searches end, and after which the first simulations begin
@@ -95,31 +94,28 @@ class _Work:
         self.left_out: dict[str, str] = {}
         self.sensors: dict[tuple[str, ...], float] = {}
         self.bound: float | None = None
-        self._lifts = 0.0
         self.reserve = RESERVE if task.random else 0.0
 
     def run(self) -> None:
         """Tunes, simulates and certifies all candidates."""
         task, searched = self.task, list[Family]()
         self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
-        planned = [family.evaluations for family, _ in families(task)]
-        for i, (family, groups) in enumerate(families(task)):
-            self._share = OF_SEARCH * sum(planned[:i]) / sum(planned)
+        planned = sum(family.evaluations for family, _ in families(task))
+        for family, groups in families(task):
             self._search(family, groups)
             searched.append(family)
-        self._share = OF_SEARCH
+            self._share += OF_SEARCH * family.evaluations / planned
         self._own()
         self._share = OF_DRIVES
-        for candidate in semi_active(task):
-            self.expected[candidate] = None
+        self.expected |= dict.fromkeys(semi_active(task))
         if not task.vehicle.dampers and task.random:
             bound = lower_bound(task)
             self.bound, why = (None, bound) if isinstance(bound, str) else (bound, "")
             self.left_out |= {"lower bound": why} if why else {}
         self._drive()
-        for _ in range(ROUNDS):
+        for i in range(ROUNDS):
             for family in searched:
-                self._repeat(family)
+                self._repeat(family, i < ROUNDS - 1)
             self._drive()
             self._share = (1 + self._share) / 2
         self._certify()
@@ -137,12 +133,17 @@ class _Work:
         try:
             family.search(self.task)
         finally:
-            best = family.best(self.task)
-            if best is None:
-                self.left_out[family.name] = family.failure.split(":")[0]
-            elif best[0] not in self.expected:
-                self.expected[best[0]] = best[1]
-                self.sensors |= {groups: best[1].penalised(self.task)} if groups else {}
+            self._take(family, groups)
+
+    def _take(self, family: Family, groups: tuple[str, ...] = ()) -> None:
+        """Adds the best candidate of a family."""
+        best = family.best(self.task)
+        if best is None:
+            self.left_out[family.name] = family.failure.split(":")[0]
+        elif best[0] not in self.expected:
+            self.expected[best[0]] = best[1]
+            keeps = max(self.task.within.used(best[1].usage).values(), default=0.0) <= 1
+            self.sensors |= {groups: best[1].value(self.task) if keeps else math.inf} if groups else {}
 
     def _add(self, one: Contender) -> None:
         """Adds a candidate, unless its implemented loop is unstable."""
@@ -167,14 +168,16 @@ class _Work:
     def _drive(self) -> None:
         """Simulates the candidates that have not been simulated yet."""
         new = [one for one in self.expected if one not in self.driven]
-        ratings = drive_candidates(self.task, new, self._progress)
-        if not self.driven:  # the first candidate to be simulated is the passive vehicle
-            self._lifts = ratings[0].usage.off_ground
-        for one, rating in zip(new, ratings, strict=True):
-            self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=self._lifts))
+        for one, rating in zip(new, drive_candidates(self.task, new, self._progress), strict=True):
+            # the first candidate to be simulated is the passive vehicle
+            lifts = next(iter(self.driven.values()), rating).usage.off_ground
+            self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=lifts))
 
-    def _repeat(self, family: Family) -> None:
-        """Searches a family again if its best candidate exceeds limits in MuJoCo, or does not use them fully."""
+    def _repeat(self, family: Family, search: bool) -> None:
+        """Corrects the limits of a family if its best candidate exceeds limits in MuJoCo, or does not use them fully.
+
+        If `search` is True, the family is then searched again. Otherwise, another candidate is chosen from those found before.
+        """
         task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:
             return
@@ -192,7 +195,10 @@ class _Work:
             # If a force is clipped, its peak does not show how much force is missing
             factor = max(factor, TIGHTER) if there[name] > 1 else factor
             family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / least)
-        self._search(family, again=" again")
+        if search:
+            self._search(family, again=" again")
+        else:
+            self._take(family)
 
     def _certify(self) -> None:
         """Computes the certificate of the best candidate of each family."""
@@ -210,22 +216,14 @@ class _Work:
             rating, driven = self.driven.get(one, expected), one in self.driven
             if rating is not None and math.isfinite(rating.value(self.task)):
                 used = self.task.within.used(rating.usage, self.reserve if driven else 0.0)
-                rows.append(RankedContender(one, rating, driven, max(used.values(), default=0.0) <= 1))
+                rows.append(RankedContender(one, rating, driven, used))
         for row in sorted(rows, key=lambda row: (not row.keeps, row.rating.penalised(self.task))):
             best.setdefault(row.candidate.name, row)
         return list(best.values())
 
-    def _exact(self, row: RankedContender) -> RankedContender:
-        """Returns a row with exact margins; the search computes margins only near the limits."""
-        one = row.candidate.controller
-        if row.driven or one.linear is not True:
-            return row
-        gain, disk = margins_of(self.task, one)
-        return replace(row, rating=replace(row.rating, usage=row.rating.usage._replace(gain_margin=gain, disk=disk)))
-
     def result(self, interrupted: bool = False) -> Recommendation:
         """Returns the recommendation from the candidates found so far."""
-        rows, left, task = [self._exact(row) for row in self.rows()], dict(self.left_out), self.task
+        rows, left, task = self.rows(), dict(self.left_out), self.task
         named = {row.candidate.name for row in rows}
         left |= {one.name: "a run ends early in MuJoCo" for one in self.driven if one.name not in named}
         if not {*task.line.linear_model.states} <= {*task.sensors}:

@@ -1,29 +1,33 @@
-"""Result of a recommendation, also as text and JSON: ranked table, lower bound, value of each sensor, omitted candidates."""
+"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, value of sensors, omissions."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from string import ascii_lowercase
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+from models.common.errors import InputError
+from models.common.files import whole_file
 from models.common.printed import about, as_name, three_digits
+from models.common.toml_edit import section_lines
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
-from models.document.text import BEST, ShownResult, join_words
-from models.roads.iso8608 import Iso8608
+from models.document.text import BEST, CHANGE, ShownResult, names_text
+from models.vehicle.in_place import with_sections
 from models.vehicle.names import PASSIVE
+from models.vehicle.vehicle import parse_vehicle
 from sim.studies.recommend import GOALS
-from sim.studies.recommend.confirm import SEEDS
 from sim.studies.recommend.rating import Rating
 from sim.studies.recommend.task import Contender, Task
-from sim.studies.recommend.within import MOST_GAIN, TAIL
-from sim.studies.ride.scores import COLUMNS
+from sim.studies.recommend.within import MOST_GAIN, TAIL, Usage
+from sim.studies.ride.scores import COLUMNS, FIELDS
+from synth.command.save import controller_section
+from synth.controller.disk_margin import DiskMargin
 
 MOST_ROWS = 14  # largest number of table rows, so that the printed answer has at most 24 lines
 NEAR = 0.85  # a limit counts as binding if a larger share of it is used
+SECTION = "best"  # name of the controller in a saved vehicle file
 WORDS = {"ride": "ride", "holding": "road holding", "travel": "travel"}
-DECIBELS = Field[float]("margin", lambda factor: 20 * math.log10(factor) if factor < 0.99 * MOST_GAIN else None, ".1f")
-SHARE, CHANGE = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[float]("change", float, "+.0f", 100.0, unit="%")
+SHARE, CHANGED = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[float]("change", float, "+.0f", 100.0, unit="%")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +38,24 @@ class RankedContender:
         candidate: controller and vehicle of the row.
         rating: rating in MuJoCo, or the expected rating if the candidate was not simulated.
         driven: True if the candidate was simulated in MuJoCo.
-        keeps: True if the candidate keeps all limits, including the reserve.
+        used: used share of each limit, including the reserve, by name; 1 at the limit.
     """
 
     candidate: Contender
     rating: Rating
     driven: bool
-    keeps: bool
+    used: Mapping[str, float]
+
+    @property
+    def keeps(self) -> bool:
+        """True if the candidate keeps all limits, including the reserve."""
+        return max(self.used.values(), default=0.0) <= 1
+
+    @property
+    def binds(self) -> str:
+        """The limit that is used most; "-" if it is not nearly reached, and with "!" if it is exceeded."""
+        name = max(self.used, key=self.used.__getitem__, default="")
+        return "-" if not name or self.used[name] < NEAR else f"{name}{'!' * (not self.keeps)}"
 
     @property
     def proved(self) -> bool | None:
@@ -56,7 +71,8 @@ class Recommendation(ShownResult):
     Attributes:
         task: task of the recommendation.
         rows: best candidate of each family; candidates that keep all limits come first.
-        sensors: expected value of the goal with LQG control, for each tried set of sensor groups.
+        sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no law keeps the
+            limits.
         bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
         left_out: omitted families and controllers of the file, by name, each with the reason.
         reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
@@ -94,99 +110,58 @@ class Recommendation(ShownResult):
         each = ((row, row.candidate.controller) for row in self.better)
         return next((row for row, one in each if (one.preview is None if one.linear is True else not one.user_code)), None)
 
+    def change(self, row: RankedContender) -> float | None:
+        """Returns the change of the goal relative to the passive vehicle; None for the passive vehicle itself."""
+        usual = self.passive and self.passive.rating.value(self.task)
+        return row.rating.value(self.task) / usual - 1 if usual and row is not self.passive else None
+
+    def measured(self, row: RankedContender) -> list[str]:
+        """Returns the groups of the sensors that a candidate measures."""
+        names = row.candidate.controller.measured if row.candidate.controller.acts else ()
+        return [group for group, signals in self.task.groups.items() if {*signals} & {*names}]
+
     @property
     def summary(self) -> Document:
         """The ranked table with its explanation."""
-        return describe(self)
-
-
-def roads_driven(task: Task) -> int:
-    """Returns the number of roads on which each candidate is simulated."""
-    return len(SEEDS) if isinstance(task.road, Iso8608) else 1
-
-
-def road_words(task: Task) -> str:
-    """Returns a text that describes the road and the speed."""
-    return task.road.words.replace("random, ", "").replace(", seed 0", "")
-
-
-def letters(task: Task) -> dict[str, str]:
-    """Returns the letter of every group of sensors."""
-    return dict(zip(task.groups, ascii_lowercase, strict=False))
-
-
-def sensor_groups(task: Task, row: RankedContender) -> list[str]:
-    """Returns the groups of the sensors that a candidate measures."""
-    measured = row.candidate.controller.measured if row.candidate.controller.acts else ()
-    return [group for group, signals in task.groups.items() if {*signals} & {*measured}]
-
-
-def change(result: Recommendation, row: RankedContender) -> float | None:
-    """Returns the change of the goal relative to the passive vehicle; None for the passive vehicle itself."""
-    usual = result.passive and result.passive.rating.value(result.task)
-    return row.rating.value(result.task) / usual - 1 if usual and row is not result.passive else None
-
-
-def binding(result: Recommendation, row: RankedContender) -> str:
-    """Returns the limit that a row uses most; "-" if it is not nearly reached, and with "!" if it is exceeded."""
-    used = result.task.within.used(row.rating.usage, result.reserve if row.driven else 0.0)
-    name = max(used, key=used.__getitem__, default="")
-    return "-" if not name or used[name] < NEAR else f"{name}!" if used[name] > 1 else name
+        ranked = table(self)
+        return Document("", (ranked, Document("", (verdict(self, self.best), *notes(*explanations(self, len(ranked.rows)))))))
 
 
 def table(result: Recommendation) -> Table:
     """Returns the ranked table, which always contains the passive vehicle."""
-    task, known, goal, passive = result.task, letters(result.task), GOALS[result.task.goal], result.passive
+    task, goal, passive, letters = result.task, GOALS[result.task.goal], result.passive, result.task.letters
     rows = list(result.rows[:MOST_ROWS])
     if passive is not None and passive not in rows:
         rows[-1] = passive
 
     def column(key: str, label: str) -> Field[RankedContender]:
-        def shown(row: RankedContender) -> str | None:
-            value = row.rating.values.get(key)
-            value = value if row.candidate.controller.acts or not COLUMNS[key].label.startswith("force") else 0.0
-            return (
-                None if value is None else three_digits(COLUMNS[key].scale * value) + BEST * (key == goal and row is result.best)
-            )
+        of_key = next(one for one in FIELDS if one.key == key).of(lambda row: row.rating, label)  # pyright: ignore
+        star = BEST if key == goal else ""
+        return replace(of_key, value=lambda row: of_key.cell(row) + star * (row is result.best))
 
-        return Field(label, shown, unit=COLUMNS[key].unit)
+    def decibels(label: str, factor: Callable[[Usage], float]) -> Field[RankedContender]:
+        def value(row: RankedContender) -> float | None:
+            most = factor(row.rating.usage)
+            return 20 * math.log10(most) if row.candidate.pushes and most < 0.99 * MOST_GAIN else None
 
-    def disk(row: RankedContender) -> float:
-        size = row.rating.usage.disk
-        return (2 + size) / (2 - size) if size < 2 else math.inf
-
-    def margin(row: RankedContender, factor: float) -> str:
-        return DECIBELS.cell(factor) if row.candidate.pushes else "-"
+        return Field(label, value, ".1f", unit="dB")
 
     columns = [
         Field[RankedContender]("candidate", lambda row: row.candidate.name),
         column("ride", "ride"),
-        Field[RankedContender]("travel", lambda row: SHARE.cell(row.rating.usage.stroke), unit="%"),
+        Field[RankedContender]("travel", lambda row: row.rating.usage.stroke, ".0f", 100.0, unit="%"),
         column("dynamic_load", "tyre load"),
         column("force_rms", "force"),
         column("force_peak", "peak"),
-        Field[RankedContender]("gain", lambda row: margin(row, row.rating.usage.gain_margin), unit="dB"),
-        Field[RankedContender]("disk", lambda row: margin(row, disk(row)), unit="dB"),
-        Field[RankedContender]("sensors", lambda row: "".join(known[name] for name in sensor_groups(task, row)) or "-"),
+        decibels("gain", lambda usage: usage.gain_margin),
+        decibels("disk", lambda usage: DiskMargin(usage.disk, math.nan).gain[1]),
+        Field[RankedContender]("sensors", lambda row: "".join(letters[name] for name in result.measured(row)) or "-"),
         Field[RankedContender]("proof", lambda row: {True: "yes", False: "no", None: "-"}[row.proved]),
-        Field[RankedContender]("binds", lambda row: binding(result, row)),
+        Field[RankedContender]("binds", lambda row: row.binds),
     ]
     place = {"ride": 2, "travel": 3, "holding": 4}[task.goal]
-    changes = Field[RankedContender](
-        f"{WORDS[task.goal]} change [%]", lambda row: None if (one := change(result, row)) is None else CHANGE.digits(one)
-    )
-    columns.insert(place, changes)
+    columns.insert(place, Field[RankedContender](f"{WORDS[task.goal]}{CHANGE}", result.change, "+.0f", 100.0))
     return Table.of("recommended", f"Candidates by {WORDS[task.goal]}.", columns, rows)
-
-
-def legend(result: Recommendation, shown: int) -> str:
-    """Returns sentences that explain the numbers and letters of the table, of which `shown` rows are printed."""
-    task, count, left = result.task, roads_driven(result.task), len(result.rows) - shown
-    how = f"Numbers of MuJoCo over {f'{count} roads' if count > 1 else 'the road'}"
-    how = how if all(row.driven for row in result.rows) else "Expected values"
-    sensors = ", ".join(f"{letter} {name}" for name, letter in letters(task).items())
-    more = f" {left} more candidates are in --json." * bool(left)
-    return f"{how}; travel in % of the stroke. {BEST}: recommended; !: exceeds the limit. Sensors: {sensors}.{more}"
 
 
 def verdict(result: Recommendation, best: RankedContender | None) -> Statement:
@@ -194,17 +169,23 @@ def verdict(result: Recommendation, best: RankedContender | None) -> Statement:
     task, what = result.task, WORDS[result.task.goal]
     if best is None:
         return Statement(f"No candidate has a better {what} than the passive vehicle within the limits.", "ends", "brief")
-    column, relative = COLUMNS[GOALS[task.goal]], change(result, best)
+    column, relative = COLUMNS[GOALS[task.goal]], result.change(best)
     number = f"{three_digits(column.scale * best.rating.value(task))} {column.unit}".rstrip()
-    number += "" if relative is None else f", {CHANGE.text(relative)} from passive"
-    measures = f" It measures {join_words([as_name(one) for one in names])}." if (names := sensor_groups(task, best)) else ""
+    number += "" if relative is None else f", {CHANGED.text(relative)} from passive"
+    measures = f" It measures {names_text(names)}." if (names := result.measured(best)) else ""
     text = f"Best {what}: {as_name(best.candidate.name)}, {number} ({best.candidate.setting}).{measures}"
     return Statement(text, "note" if result.interrupted else "holds", "brief")
 
 
-def describe(result: Recommendation) -> Document:
-    """Returns the recommendation as a document."""
-    task, known, column, texts = result.task, letters(result.task), COLUMNS[GOALS[result.task.goal]], list[str]()
+def explanations(result: Recommendation, shown: int) -> list[str]:
+    """Returns the sentences below a table that contains `shown` rows."""
+    task, what, known, column = result.task, WORDS[result.task.goal], result.task.letters, COLUMNS[GOALS[result.task.goal]]
+    where = f"Numbers of MuJoCo over {f'{task.roads} roads' if task.roads > 1 else 'the road'}"
+    more = f" {len(result.rows) - shown} more candidates are in --json." * (len(result.rows) > shown)
+    texts = [
+        f"{where if all(row.driven for row in result.rows) else 'Expected values'}; travel in % of the stroke. {BEST}: "
+        f"recommended; !: exceeds the limit. Sensors: {', '.join(f'{letter} {name}' for name, letter in known.items())}.{more}"
+    ]
     if result.bound is not None:
         unit = 10.0 ** (math.floor(math.log10(result.bound)) - 1)
         floor = about(unit * math.floor(result.bound / unit))
@@ -212,57 +193,77 @@ def describe(result: Recommendation) -> Document:
             f"In linear analysis without limits, no controller with active forces has an expected ride below {floor} m/s². "
             "This is the ride of LQG with the same sensors, sample period, delay and hold."
         )
-    whole = result.sensors.get(tuple(known), math.nan)
     if len(result.sensors) > 1:
-        each = [
-            f"{''.join(known[one] for one in groups)} {three_digits(column.scale * value)}"
-            + f" ({CHANGE.text(value / whole - 1)})" * (len(groups) < len(known))
-            for groups, value in result.sensors.items()
-        ]
+        whole, each = result.sensors[tuple(known)], list[str]()
+        for groups, value in result.sensors.items():
+            part = f" ({CHANGED.text(value / whole - 1)})" * (len(groups) < len(known) and math.isfinite(whole))
+            number = f"{three_digits(column.scale * value)}{part}" if math.isfinite(value) else "not within the limits"
+            each.append(f"{''.join(known[one] for one in groups)} {number}")
         usual = "" if task.random else " on class C"
-        texts.append(
-            f"Expected {WORDS[task.goal]}{usual} of the best LQG with different sensors: {', '.join(each)} {column.unit}."
-        )
+        texts.append(f"Expected {what}{usual} of the best LQG with different sensors{f' [{column.unit}]'}: {', '.join(each)}.")
     kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
     reserve = (
         f" A reserve is kept for other roads: {SHARE.text(kept)} of stroke and force, and {SHARE.text(lift)} of the "
-        f"time off the ground."
+        "time off the ground."
     )
     texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []
-    texts += ["The search was interrupted: these are the candidates so far."] if result.interrupted else []
-    ranked = table(result)
-    texts.insert(0, legend(result, len(ranked.rows)))
-    return Document("", (ranked, Document("", (verdict(result, result.best), *notes(*texts)))))
+    return [*texts, *(["The search was interrupted: these are the candidates so far."] if result.interrupted else [])]
 
 
-ROW = Record[RankedContender](
+def save(path: Path, result: Recommendation) -> str:
+    """Writes the vehicle file with the recommended controller; returns the name of its section.
+
+    A file cannot contain a controller with preview. The next best controller is then written. The section is named `best`; a
+    number is added if the file already has a controller of this name.
+
+    Raises:
+        InputError: no controller can be written to a file, or the file cannot be written.
+    """
+    row, vehicle, taken = result.saved, result.task.vehicle, result.task.vehicle.controllers
+    if row is None:
+        raise InputError("--save has nothing to write: no controller is better than the passive vehicle within the limits")
+    name = next(one for i in range(1, len(taken) + 2) if (one := SECTION if i == 1 else f"{SECTION}_{i}") not in taken)
+    one, usage = row.candidate.controller, row.rating.usage
+    used = f", force {SHARE.text(usage.force)} of its limit, disk margin {usage.disk:g}" * row.candidate.pushes
+    lines = [
+        f"# roadproof recommend, {result.task.road_words}, within {result.task.within.text}",
+        f"# {verdict(result, row).text}",
+        f"# travel {SHARE.text(usage.stroke)} of the stroke{used}",
+    ]
+    if one.linear is True:
+        lines += controller_section(vehicle, replace(one, name=name), name)
+    else:
+        lines += section_lines(("controllers", name), one.law.record)
+    text = with_sections(vehicle.text_for(path), lines)
+    parse_vehicle(text, folder=path.parent)  # checks that the written file can be read
+    with whole_file(path, "save") as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+    return name
+
+
+CANDIDATE = Record[RankedContender](
+    "driven",
+    "keeps",
+    "proved",
     name="candidate.name",
     setting="candidate.setting",
     measured="candidate.controller.measured",
-    values=lambda row: dict(row.rating.values),
+    values="rating.values",
     used=lambda row: row.rating.usage._asdict(),
-    proved="proved",
-    keeps="keeps",
-    driven="driven",
 )
-
-
-def record(result: Recommendation) -> dict[str, Any]:
-    """Returns the recommendation as a JSON object, in SI units."""
-    task = result.task
-    return {
-        "goal": task.goal,
-        "road": task.road.describe(),
-        "within": vars(task.within),
-        "best": None if result.best is None else result.best.candidate.name,
-        "candidates": [ROW(row) for row in result.rows],
-        "lower_bound": result.bound,
-        "by_sensors": [{"sensors": list(groups), "value": value} for groups, value in result.sensors.items()],
-        "left_out": dict(result.left_out),
-        "reserve": result.reserve,
-        "roads": roads_driven(task),
-        "assumed": task.assumed,
-        "interrupted": result.interrupted,
-    }
+RECORD = Record[Recommendation](
+    "interrupted",
+    "left_out",
+    "reserve",
+    goal="task.goal",
+    road=lambda result: result.task.road.describe(),
+    within="task.within",
+    best=lambda result: result.best and result.best.candidate.name,
+    candidates=CANDIDATE.all("rows"),
+    lower_bound="bound",
+    by_sensors=lambda result: [{"sensors": groups, "value": value} for groups, value in result.sensors.items()],
+    roads="task.roads",
+    assumed="task.assumed",
+)

@@ -27,7 +27,6 @@ STEP, RESTART = 1.0, 0.4  # size of the first simplex, and of the simplex with w
 LARGE_PLANT, FEWER = 7, 0.4
 MOST_ALONE = 3  # if there are at most this many sensor groups, each group is also tried alone
 ORDER = 2  # number of states per force of a fixed-order law
-PREVIEW_TIME = 0.2  # s, time for which the road ahead is known
 SKYHOOK = (-0.7, 0.4, -4.0)  # point at which the search for a skyhook law starts
 # Name of the LQG law; safety factors that multiply the required margins, so that rounding does not decide whether a law keeps
 # them
@@ -92,24 +91,17 @@ class Family:
 
 
 def optimal_family(
-    task: Task,
-    name: str,
-    measured: Sequence[str],
-    evaluations: int,
-    start: Weights,
-    method: str | int = LQG,
-    preview: float = 0.0,
-    free: Sequence[str] = (),
+    task: Task, name: str, measured: Sequence[str], evaluations: int, start: Weights, method: str | int = LQG, free: str = ""
 ) -> Family:
-    """Returns the family of optimal laws for the measured sensors; `free` names the weights to search, by default all."""
-    free = free or [*start]
+    """Returns the family of optimal laws for the measured sensors; `free` lists the weights to search, by default all."""
+    names = free.split() or [*start]
 
     def build(x: Array) -> Contender:
-        weights = {**start, **dict(zip(free, x.tolist(), strict=True))}
+        weights = {**start, **dict(zip(names, x.tolist(), strict=True))}
         text = "weights " + ", ".join(f"{key} {brief(float(np.exp(one)))}" for key, one in weights.items() if key != SHARE)
-        return Contender(name, design(task, name, measured, weights, method, preview), task.vehicle, text)
+        return Contender(name, design(task, name, measured, weights, method), task.vehicle, text)
 
-    return Family(name, np.array([start[one] for one in free]), build, evaluations)
+    return Family(name, np.array([start[one] for one in names]), build, evaluations)
 
 
 def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
@@ -142,13 +134,12 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
         if 0 < len(some) < len(groups):
             name = f"{LQG_NAME}, {''.join(letter for letter, one in zip(ascii_lowercase, groups, strict=False) if one in some)}"
             yield optimal_family(task, name, [signal for one in some for signal in groups[one]], 80, start), some
-    states = task.line.linear_model.states
+    states, both = task.line.linear_model.states, f"force {SHARE}"
     if {*states} <= {*task.sensors}:
-        yield optimal_family(task, PREVIEW, states, 20, start, PREVIEW, PREVIEW_TIME), ()
-    both = ["force", SHARE]
-    full = optimal_family(task, "H-infinity", task.sensors, 24, start | {SHARE: 1.5 * large}, FULL, free=both)
+        yield optimal_family(task, PREVIEW, states, 20, start, PREVIEW), ()
+    full = optimal_family(task, "H-infinity", task.sensors, 24, start | {SHARE: 1.5 * large}, FULL, both)
     yield full, ()
     count = ORDER * len(task.forces)
-    start |= full.weights(task, both)
-    yield optimal_family(task, f"H-inf., {count} states", task.sensors, 8, start, count, free=both), ()
-    yield optimal_family(task, "H-inf., static", task.sensors, 6, start, "", free=["force"]), ()
+    start |= full.weights(task, both.split())
+    yield optimal_family(task, f"H-inf., {count} states", task.sensors, 8, start, count, both), ()
+    yield optimal_family(task, "H-inf., static", task.sensors, 6, start, "", "force"), ()

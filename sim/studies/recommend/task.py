@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from string import ascii_lowercase
 
 import numpy as np
 from scipy import linalg
@@ -17,7 +18,6 @@ from models.roads.road import Road, track_width
 from models.roads.spectrum import Spectrum
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.studies.recommend import GOALS
 from sim.studies.recommend.within import Within
 from sim.studies.ride.expected import ExpectedMetrics, expect
 from sim.studies.ride.scores import score_of
@@ -25,6 +25,7 @@ from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
 WINDOW = 10.0  # s, time over which each road is measured
+SEEDS = (0, 1, 2, 3, 4, 5)  # seeds of the random roads on which candidates are compared
 ROADS = 30  # linear analysis expects the largest value over this many windows of length `WINDOW`
 NOISE = 0.01  # noise that is assumed for a sensor without noise in the file, relative to the signal's rms without control
 # limit on the stroke, relative to the passive car's peak travel, and on the force, relative to the static load, if no limits
@@ -59,10 +60,19 @@ class Task:
         return self.road.spectrum is not None
 
     @property
+    def roads(self) -> int:
+        """Number of roads on which each candidate is simulated."""
+        return len(SEEDS) if isinstance(self.road, Iso8608) else 1
+
+    @property
+    def road_words(self) -> str:
+        """Text that describes the road and the speed."""
+        return self.road.words.replace("random, ", "").replace(", seed 0", "")
+
+    @property
     def spectrum(self) -> Spectrum:
         """Spectrum of the random road for which candidates are designed: from the road, or from class C if it has none."""
-        usual = Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle))
-        return self.road.spectrum or usual.spectrum
+        return self.road.spectrum or Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle)).spectrum
 
     @property
     def coarse_step(self) -> float:
@@ -96,11 +106,6 @@ class Task:
         """Expected metrics of the passive vehicle in the comparison of controllers, by key; None for an unknown metric."""
         return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
 
-    @property
-    def usual(self) -> float:
-        """Expected value of the goal for the passive vehicle; 1 if it is unknown."""
-        return self.passive_values.get(GOALS[self.goal]) or 1.0
-
     @cached_property
     def line(self) -> Vehicle:
         """The linear vehicle, by statistical linearisation of the passive vehicle, or else by linearisation at equilibrium."""
@@ -132,12 +137,11 @@ class Task:
     @cached_property
     def strokes(self) -> Mapping[str, tuple[float, float]]:
         """Stroke in bump and rebound [m], by deflection: from the file, or else `TRAVEL` times the passive peak travel."""
-        mean, given = {} if self.expected_passive is None else self.expected_passive.mean, self.pushed.parts.strokes
-        strokes = {}
+        mean, strokes = {} if self.expected_passive is None else self.expected_passive.mean, {}
         for name in (one.deflection for one in self.vehicle.kind.suspensions):
-            usual = math.inf if given.get(name) else TRAVEL * (mean.get(f"{name}_peak") or 5 * self.rms[name])
-            bump, rebound = (given.get(name, {}).get(side, usual) for side in SIDES)
-            strokes[name] = bump, rebound
+            given = self.pushed.parts.strokes.get(name, {})
+            usual = math.inf if given else TRAVEL * (mean.get(f"{name}_peak") or 5 * self.rms[name])
+            strokes[name] = given.get(SIDES[0], usual), given.get(SIDES[1], usual)
         return strokes
 
     @cached_property
@@ -148,14 +152,11 @@ class Task:
     @property
     def assumed(self) -> list[str]:
         """Sentences that state the assumed values of limits that the file does not contain."""
-        texts = list[str]()
+        most, force, texts = brief(1e3 * max(map(min, self.strokes.values()))), brief(max(self.forces.values())), list[str]()
         if not all(self.pushed.parts.strokes.get(name) for name in self.strokes):
-            most = brief(1e3 * max(min(one) for one in self.strokes.values()))
             texts.append(f"The file has no suspension_stroke: {most} mm are assumed, {TRAVEL:g} times the passive peak travel.")
         if self.pushed.limits.actuator_force is None and not self.vehicle.dampers:
-            texts.append(
-                f"The file has no actuator_force: {brief(max(self.forces.values()))} N are assumed, half the static load."
-            )
+            texts.append(f"The file has no actuator_force: {force} N are assumed, half the static load.")
         return texts
 
     @cached_property
@@ -176,6 +177,11 @@ class Task:
             group = name.removesuffix(next((one for one in endings if name.endswith(one)), ""))
             groups[group] = (*groups.get(group, ()), name)
         return groups
+
+    @property
+    def letters(self) -> Mapping[str, str]:
+        """Letter of every group of sensors."""
+        return dict(zip(self.groups, ascii_lowercase, strict=False))
 
     def given_noise(self, measured: Sequence[str]) -> list[float]:
         """Returns the rms noise of each sensor from the file; 0 if the file contains none."""

@@ -1,18 +1,18 @@
 """Limits that a recommended controller must keep: stroke, force, stability margins, and contact of the tyres with the road."""
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Annotated, NamedTuple
 
-from models.common.errors import InputError, alike
+from models.common.checks import CheckedFields
+from models.common.errors import InputError, alike, error_in
 from models.common.printed import brief
-from models.common.units import quantity
+from models.common.schema import SI
+from models.common.units import setting
 
 MOST_GAIN = 100.0  # a loop that is stable up to this gain factor counts as stable for all larger factors
-# smallest and largest value of each margin, and an example
-RANGES = {"gain_margin": (1.0, MOST_GAIN, "6dB"), "disk": (0.0, 2.0, "0.3")}
 TAIL = 12  # if the tyre is off the ground about 0.1 % of the time, a 1 % larger dynamic load makes this time about 12 % longer
-SHARE = (0.0, 1.0, "95%")
+Share = Annotated[float, SI(high=1.0, more=", as in stroke=95%, or none")]
 
 
 class Usage(NamedTuple):
@@ -36,7 +36,7 @@ class Usage(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Within:
+class Within(CheckedFields):
     """Limits on a recommended controller; None for a limit that is not used.
 
     Attributes:
@@ -45,15 +45,18 @@ class Within:
             less.
         disk: smallest allowed symmetric disk margin.
         off_ground: largest allowed share of the time in which a tyre does not touch the ground.
+
+    Raises:
+        InputError: a limit is not allowed.
     """
 
     public_name = "limits of a Recommendation"
 
-    stroke: float | None = 0.95
-    force: float | None = 1.0
-    gain_margin: float | None = 2.0
-    disk: float | None = 0.3
-    off_ground: float | None = 1e-3
+    stroke: Share | None = 0.95
+    force: Share | None = 1.0
+    gain_margin: Annotated[float, SI(low=1.0, high=MOST_GAIN, more=", as in gain_margin=6dB, or none")] | None = 2.0
+    disk: Annotated[float, SI(high=2.0, more=", as in disk=0.3, or none")] | None = 0.3
+    off_ground: Share | None = 1e-3
 
     def used(self, usage: Usage, reserve: float = 0.0) -> dict[str, float]:
         """Returns the used share of each limit, 1 at the limit; `reserve` is the share of stroke and force kept in reserve.
@@ -82,29 +85,22 @@ class Within:
 
 
 def read_within(text: str) -> Within:
-    """Returns the limits from a text such as `stroke=90%,force,gain_margin=6dB,off_ground=none`; all others have their defaults.
+    """Returns the limits from a text such as `stroke=90%,force,disk=3dB,off_ground=none`; all others have their defaults.
 
     Raises:
         InputError: a name is unknown or given twice, or a value is not allowed.
     """
-    names, given = [one.name for one in fields(Within)], dict[str, float | None]()
-    for part in filter(None, map(str.strip, text.split(","))):
-        name, _, value = (one.strip() for one in part.partition("="))
-        if name not in names:
-            raise InputError(f"--within: unknown limit {name!r}; known are {alike(name, names)}")
-        if name in given:
-            raise InputError(f"--within: {name} is given twice; give it once")
-        given[name] = getattr(Within(), name) if not value else None if value == "none" else _value(name, value)
-    return replace(Within(), **given)
-
-
-def _value(name: str, text: str) -> float:
-    low, high, example = RANGES.get(name, SHARE)
-    decibels = text.endswith("dB") and name == "gain_margin"
-    try:
-        value = 10 ** (float(text.removesuffix("dB")) / 20) if decibels else quantity(text, "1")
-    except ValueError:
-        value = math.nan
-    if not low < value <= high:
-        raise InputError(f"--within: {name}={text} is not allowed; give {low:g} to {high:g}, as in {name}={example}, or none")
-    return value
+    usual, given = asdict(Within()), dict[str, float | None]()
+    with error_in("--within:"):
+        for part in filter(None, map(str.strip, text.split(","))):
+            name, _, value = map(str.strip, part.partition("="))
+            if name not in usual:
+                raise InputError(f"unknown limit {name!r}; known are {alike(name, usual)}")
+            if name in given:
+                raise InputError(f"{name} is given twice; give it once")
+            if name in ("gain_margin", "disk") and value.endswith("dB"):  # a factor, as in the table
+                factor = 10 ** (setting(name, value.removesuffix("dB")) / 20)
+                given[name] = factor if name == "gain_margin" else 2 * (factor - 1) / (factor + 1)
+            else:
+                given[name] = None if value == "none" else setting(name, value) if value else usual[name]
+        return Within(**given)
