@@ -7,9 +7,10 @@ sources of the road to the q sensors has measurements with the one-sided spectra
 
 for the sample time h. F contains the delays of the wheels, so front and rear wheels share a road.
 
-Periodograms. Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w that rises from 0 to 1 and
-falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value E, which is the convolution
-of S with the spectrum of the taper. Whittle's likelihood treats the spectra at different frequencies as independent,
+Periodograms. Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied
+by a taper w that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the
+expected value E, which is the convolution of S with the spectrum of the taper. Whittle's likelihood treats the spectra at
+different frequencies as independent,
 
     -2 log L = 2 n sum (log det E + tr E^-1 P),    n = segments / inflation,
 
@@ -32,6 +33,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import rough
+from models.roads.iso8608 import Iso8608
 from models.roads.spectrum import N0, as_met, tracks
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.estimate import IdentificationProblem
@@ -97,6 +99,34 @@ class Periodograms:
         spectra[below] = spectra[below].conj()
         last = 2 * len(self.frequencies) - 1
         return sum((share * spectra[i : i + last : 2] for i, share in enumerate(self.kernel)), np.zeros(1))
+
+
+def free_road(experiments: Sequence[Experiment], fix: Sequence[str], free: Sequence[str]) -> dict[str, float] | None:
+    """Returns the initial values of the free parameters of a random road; None if the road of no experiment is random.
+
+    The roughness is free, and the waviness is fixed, by default.
+
+    Args:
+        fix: names of parameters that keep their values; parameters of the vehicle are ignored, as in `free`.
+        free: names of additional free parameters.
+
+    Raises:
+        InputError: only some of the roads are random, or the roads have different initial values.
+    """
+    roads = [one.random for one in experiments if one.random is not None]
+    if not roads:
+        return None
+    if len(roads) < len(experiments):
+        raise InputError("some logs have a random road, and others do not; identify them separately")
+    if len({(one.roughness, one.waviness) for one in roads}) > 1:
+        raise InputError("the random roads of the logs have different classes; give the same road for all logs")
+    names = [name for name in ROAD_UNITS if name not in fix and (name == ROUGHNESS or name in free)]
+    return {name: value for name, value in road_values(roads[0]).items() if name in names}
+
+
+def road_values(road: Iso8608) -> dict[str, float]:
+    """Returns the parameters of a random road by name."""
+    return {ROUGHNESS: road.roughness * road.factor**2, WAVINESS: road.waviness}
 
 
 def taper(count: int) -> Array:
@@ -230,12 +260,13 @@ class SpectralResiduals:
     """Residuals of the spectra of all experiments, and their derivatives, for one choice of free parameters.
 
     Args:
-        problem: the problem, whose initial values include `ROUGHNESS` and `WAVINESS`.
+        problem: the problem, in which the roads of all experiments are random.
         free: names of the free parameters.
     """
 
     def __init__(self, problem: IdentificationProblem, free: Sequence[str]) -> None:
-        self.problem, self.fixed = problem, dict(problem.first)
+        (road, *_) = [one.random for one in problem.experiments if one.random is not None]
+        self.problem, self.fixed = problem, {**road_values(road), **problem.first}
         given = {one.signal: one.noise for each in problem.experiments for one in each.channels}
         noisy = tuple(name for name in problem.signals if given[name] is None)
         self.given = {name: noise for name, noise in given.items() if noise is not None}
@@ -359,6 +390,7 @@ class SpectralResiduals:
         return np.array([(one.of(vehicle) - one.value) / one.deviation for one in self.problem.known])
 
     def known_columns(self, x: Array) -> Array:
+        """Returns the derivatives of the known combinations, each divided by its standard deviation, shape (k, unknowns)."""
         values, columns = self.values(x), np.zeros((len(self.problem.known), len(x)))
         for i, name in enumerate(self.unknowns.free if self.problem.known else ()):
             ahead = {**values, name: values[name] * (1 + 1e-6)}

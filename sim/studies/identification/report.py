@@ -23,6 +23,8 @@ from sim.studies.identification.estimate import NORMAL, Estimate
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.identification import Identification, element_numbers
 from sim.studies.identification.plan import PLANS, ChirpPlan
+from sim.studies.identification.random_road import ROAD_UNITS
+from sim.studies.identification.spectral_estimate import SpectralEstimate, spectral_figure, spectral_statement
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
@@ -90,7 +92,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
     """Returns all parameters that were free."""
     estimate, rows = of.estimate, list[ParameterRow]()
     units = {one.name: one.unit for one in of.vehicle.kind.parameters}
-    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()}
+    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | ROAD_UNITS
     for name in estimate.problem.first:
         first, unit = estimate.problem.first[name], units.get(name, "")
         if name in of.intervals:
@@ -186,6 +188,9 @@ def statements(of: Identification) -> Iterator[Statement]:
         largest = at_most(max(estimate.noiseless.values()))
         words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
         yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms, so there is no noise to test.", "holds")
+    if isinstance(estimate, SpectralEstimate):
+        yield spectral_statement(estimate)
+        return
     noisy = {*estimate.problem.signals} - {*estimate.noiseless}
     if noisy and estimate.white:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
@@ -281,6 +286,8 @@ def _correlations(of: Estimate) -> dict[str, dict[str, float]]:
 def figure(of: Identification) -> Figure:
     """Returns a figure of the measured and predicted signals of the first experiment, and of the residuals."""
     estimate = of.estimate
+    if isinstance(estimate, SpectralEstimate):
+        return spectral_figure(estimate)
     one, predicted = estimate.problem.experiments[0], estimate.predicted[0]
     every = slice(None, None, max(1, len(one.road) // MOST_POINTS))
     panels = []

@@ -9,19 +9,24 @@ predicted from the other signals. For both ratios, one test compares the means i
 compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, list_names
+from models.document.document import Statement
+from models.document.figure import Curve, Figure, Panel
 from sim.studies.identification.estimate import SPREAD, STARTS, Estimate, IdentificationProblem
 from sim.studies.identification.estimate import _information as information
 from sim.studies.identification.estimate import _structure as structure
+from sim.studies.identification.experiment import Experiment, signal_units
 from sim.studies.identification.random_road import ROUGHNESS, Periodograms, SpectralResiduals
 from sim.studies.identification.whiteness import LAGS, Whiteness
 
@@ -69,8 +74,8 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
         rng = np.random.default_rng(seed)
         for _ in range(STARTS):
             shift = np.concatenate([rng.uniform(-SPREAD, SPREAD, len(left)), np.zeros(len(best) - len(left))])
-            other = search(of, with_levels(of, shift))
-            best = min(best, other, key=of.deviance)
+            with suppress(InputError, np.linalg.LinAlgError):  # parameters that no vehicle can have are skipped
+                best = min(best, search(of, with_levels(of, shift)), key=of.deviance)
     R, C = information(of.reduced(best)[0], len(left))
     inverse, values = np.linalg.pinv(R), of.values(best)
     covariance = inverse @ inverse.T
@@ -83,6 +88,27 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
         covariance @ (own.T @ own + known.T @ known) @ covariance, tuple(spectral_tests(of, best)), (), (), of.deviance(best), of,
         best,
     )  # fmt: skip
+
+
+def nearby_spectra(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
+    """Returns the solution of a search from the initial values; None if its deviance is larger than the given one."""
+    of = SpectralResiduals(problem, free)
+    x = search(of, with_levels(of))
+    return of.values(x) if of.deviance(x) <= deviance else None
+
+
+def fits_elsewhere(of: SpectralEstimate, experiments: Sequence[Experiment]) -> Iterator[tuple[Experiment, Mapping[str, float]]]:
+    """Yields the fits of experiments that were not used for the estimate."""
+    for one in experiments:
+        channels = tuple(
+            replace(each, noise=of.noise[each.signal], delay=of.delays.get(each.signal, each.delay), delay_estimated=False)
+            for each in one.channels
+            if each.signal in of.noise
+        )
+        if channels and one.random is not None:
+            other = replace(one, channels=channels)
+            residuals = SpectralResiduals(replace(of.problem, first=of.values, experiments=(other,), known=()), ())
+            yield other, spectral_fits(residuals, residuals.first())[0]
 
 
 def with_levels(of: SpectralResiduals, shift: Array | None = None) -> Array:
@@ -143,7 +169,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] | None = None) 
 def bands(count: int) -> list[slice]:
     """Returns at most `LAGS` bands of about equal numbers of frequencies."""
     edges = np.linspace(0, count, min(LAGS, max(1, count // 4)) + 1).astype(int).tolist()
-    return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
 def spectral_fits(of: SpectralResiduals, x: Array) -> list[dict[str, float]]:
@@ -188,6 +214,41 @@ def together(tests: Sequence[Whiteness]) -> Whiteness:
     outside = float(np.mean(np.abs(correlations) > tests[0].bound))
     least = min(1.0, len(tests) * min(one.probability for one in tests))
     return Whiteness(correlations, tests[0].bound, outside, least, sum(one.samples for one in tests))
+
+
+def spectral_statement(of: SpectralEstimate) -> Statement:
+    """Returns the statement on the test of the spectra."""
+    if of.white:
+        return Statement(
+            "The spectra are as expected: vehicle, random road and noise explain all that the sensors show.", "holds"
+        )
+    names = {name for each in of.whiteness for name, one in each.items() if not one.white}
+    return Statement(
+        f"The spectra of {list_names(names)} are not as expected: the vehicle lacks something, or the road has another spectrum. "
+        "The intervals account for a wrong scatter of the spectra, but they cannot account for a bias.",
+        "fails",
+    )
+
+
+def spectral_figure(of: SpectralEstimate) -> Figure:
+    """Returns a figure of the measured and the expected spectra of the first experiment."""
+    panels, first = list[Panel](), of.problem.experiments[0]
+    units = signal_units(of.problem.vehicle.kind)
+    for i, name in enumerate(first.signals):
+        curves = list[Curve]()
+        for one, E in zip(of.residuals.spectra, of.residuals.expected(of.x), strict=True):
+            if one.experiment is first:
+                # The mean of a periodogram over a band has less scatter than the periodogram.
+                parts = bands(len(E))
+                middle, measured = (
+                    np.array([values[part].mean() for part in parts]) for values in (one.frequencies, one.measured[:, i, i].real)
+                )
+                curves += [
+                    Curve(middle, measured, "measured", "#9a9a9a", "none", "o"),
+                    Curve(one.frequencies, E[:, i, i].real, "identified vehicle and road", "#0b5fa5"),
+                ]
+        panels.append(Panel(name, "frequency [Hz]", f"[({units[name]})²/Hz]", tuple(curves), xlog=True, ylog=True))
+    return Figure("identification", f"Spectra of {first.name} and of the identified vehicle.", tuple(panels), columns=1)
 
 
 def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
