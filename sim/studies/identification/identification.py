@@ -15,20 +15,15 @@ from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
 from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
-from sim.studies.identification.estimate import (
-    CHI2,
-    Estimate,
-    IdentificationProblem,
-    estimate,
-    measured_fits,
-    nearby,
-    profile,
-    start_and_offsets,
-)
+from sim.studies.identification.estimate import Estimate, estimate, nearby
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
+from sim.studies.identification.problem import IdentificationProblem
+from sim.studies.identification.profile import profile
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+from sim.studies.identification.residuals import Residuals
+from sim.studies.identification.search import CHI2, first_unknowns
 
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
@@ -276,6 +271,5 @@ def _mirror(of: Estimate) -> dict[str, float]:
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
     """Returns the fits of a log that was not used for the estimate. Only its starting state and offsets are estimated."""
-    problem = replace(of.problem, first=of.values, experiments=log.experiments, known=())
-    fits = measured_fits(problem.experiments, start_and_offsets(problem))
-    return list(zip(problem.experiments, fits, strict=True))
+    residuals = Residuals(replace(of.problem, first=of.values, experiments=log.experiments, known=()), ())
+    return list(zip(log.experiments, residuals.fits(first_unknowns(residuals)), strict=True))
