@@ -3,18 +3,14 @@
 Signals are sums of sinusoids with normal amplitudes, from the transfer functions of a quarter-car that are written here.
 """
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
-from sim.identify import main
 from sim.studies.identification.identification import Identification, identify
 from sim.studies.identification.log_map import LogKeys, LogMap, SensorSection
 
@@ -83,18 +79,22 @@ def off(of: Identification) -> Array:
 def test_a_road_that_is_not_measured(tmp_path):
     """Two sensors determine four ratios and the roughness within four standard deviations; the scale of masses is named."""
     of = identified(tmp_path, fix=())
-    assert of.estimate.held == (MASS,)
+    assert of.estimate.structure.held == (MASS,)
     assert {*of.intervals} == {"roughness"}
     assert of.estimate.ratios["tyre_stiffness"] == {"tyre_stiffness": 1.0, MASS: -1.0}
     assert np.abs(off(of)).max() < 4
     assert max(of.estimate.deviations.values()) < 0.15
-    assert of.estimate.noise == pytest.approx({name: NOISE[name] for name in (BODY, TRAVEL)}, rel=0.1)  # of 4000 samples, 5 standard deviations
+    assert of.estimate.noise == pytest.approx(
+        {name: NOISE[name] for name in (BODY, TRAVEL)}, rel=0.1
+    )  # of 4000 samples, 5 standard deviations
     assert of.estimate.white
 
 
 @pytest.mark.attack
 @pytest.mark.parametrize(
-    ("names", "free"), [((BODY, HUB, TRAVEL), ()), ((BODY, TRAVEL), ("waviness",)), ((BODY,), ())], ids=["three", "waviness", "body"]
+    ("names", "free"),
+    [((BODY, HUB, TRAVEL), ()), ((BODY, TRAVEL), ("waviness",)), ((BODY,), ())],
+    ids=["three", "waviness", "body"],
 )
 def test_intervals_of_spectra_cover(tmp_path, names, free):
     """Over 60 seeds, 90 to 98 % of the 95 % intervals cover, and errors have zero mean within 3.5 standard deviations."""

@@ -15,22 +15,16 @@ from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
 from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
-from sim.studies.identification.estimate import (
-    CHI2,
-    NORMAL,
-    Estimate,
-    IdentificationProblem,
-    estimate,
-    measured_fits,
-    nearby,
-    profile,
-    start_and_offsets,
-)
+from sim.studies.identification.estimate import Estimate, estimate, nearby
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
+from sim.studies.identification.problem import IdentificationProblem
+from sim.studies.identification.profile import profile
 from sim.studies.identification.random_road import ROAD_UNITS, free_road
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+from sim.studies.identification.residuals import Residuals
+from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
 from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra
 
 if TYPE_CHECKING:
@@ -243,10 +237,9 @@ def _identify_spectra(
     intervals = dict[str, Interval]()
     for name in result.free:
         if not result.ratios or set(result.ratios[name]) == {name}:
-            low, high = result.interval(name)
-            if name in problem.from_zero:
-                value, width = result.values[name], NORMAL * result.values[name] * result.deviations[name]
-                low, high = value - width if value > width else None, value + width
+            value, width = result.values[name], NORMAL * result.values[name] * result.deviations[name]
+            around = (value - width if value > width else None, value + width)
+            low, high = around if name in problem.from_zero else result.interval(name)
             intervals[name] = Interval(low, high, "robust" if result.coloured else "covariance")
     ended = tuple((one.name, fit) for log in hold_out for one, fit in fits_elsewhere(result, log.experiments))
     return Identification(result, intervals, (), tuple(remarks), _mirror(result, nearby_spectra), ended, {})
@@ -307,6 +300,5 @@ def _mirror(
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
     """Returns the fits of a log that was not used for the estimate. Only its starting state and offsets are estimated."""
-    problem = replace(of.problem, first=of.values, experiments=log.experiments, known=())
-    fits = measured_fits(problem.experiments, start_and_offsets(problem))
-    return list(zip(problem.experiments, fits, strict=True))
+    residuals = Residuals(replace(of.problem, first=of.values, experiments=log.experiments, known=()), ())
+    return list(zip(log.experiments, residuals.fits(first_unknowns(residuals)), strict=True))

@@ -1,4 +1,4 @@
-"""Likelihood of logs from a random road: spectra of all sensors, compared with the spectra that the vehicle predicts.
+"""Spectra of logs from a random road: what the sensors measured, and what a vehicle predicts.
 
 The road is not measured; only its spectrum has a known form (ISO 8608). A vehicle with the frequency response F from the random
 sources of the road to the q sensors has measurements with the one-sided spectral matrix
@@ -7,20 +7,11 @@ sources of the road to the q sensors has measurements with the one-sided spectra
 
 for the sample time h. F contains the delays of the wheels, so front and rear wheels share a road.
 
-Periodograms. Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied
-by a taper w that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the
-expected value E, which is the convolution of S with the spectrum of the taper. Whittle's likelihood treats the spectra at
-different frequencies as independent,
-
-    -2 log L = 2 n sum (log det E + tr E^-1 P),    n = segments / inflation,
-
-where P is the measured matrix. Tapers reduce the information by the factor inflation = N sum w^4 / (sum w^2)^2 (R. Dahlhaus
-(1988), J. Multivariate Anal. 27, 55-83). The expected value E instead of S removes the bias of leakage (A. M. Sykulski et al.
-(2019), Biometrika 106, 251-266).
-
-Least squares. With E = L L*, the residuals sqrt(n) (I - L^-1 P L^-*) and the derivatives sqrt(n) L^-1 dE L^-* give J'J, which
-is the expected information (Fisher), and 2 J'c, which is the gradient of the deviance. The search for the maximum is Fisher's
-scoring in a trust region.
+Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w
+that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value E,
+which is the convolution of S with the spectrum of the taper. To compare periodograms with E instead of S removes the bias of
+leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies count as independent. The
+taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate Anal. 27, 55-83).
 """
 
 import math
@@ -36,9 +27,9 @@ from models.common.printed import rough
 from models.roads.iso8608 import Iso8608
 from models.roads.spectrum import N0, as_met, tracks
 from models.vehicle.vehicle import Vehicle
-from sim.studies.identification.estimate import IdentificationProblem
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.prediction import LogPrediction, continuous_model
+from sim.studies.identification.problem import IdentificationProblem
 
 ROUGHNESS, WAVINESS = "roughness", "waviness"  # parameters of the road, in addition to those of the vehicle
 ROAD_UNITS: Mapping[str, str] = {ROUGHNESS: "m3", WAVINESS: ""}
@@ -50,9 +41,7 @@ USABLE = 0.39  # largest usable frequency relative to the sampling rate; filters
 FIRST = 3  # lowest frequency that is used, in units of 1 / length of a segment
 REACH = 16  # half-width of the taper's spectrum in half-bins
 FEWEST = 20  # smallest number of frequencies
-FURTHEST = 9.0  # largest change of a logarithm: a factor of 8000
 DIFFERENCE = 1e-5  # relative step of finite differences of matrices
-LEAST_NOISE = 1e-4  # smallest noise rms relative to the signal's rms
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +68,7 @@ class Periodograms:
 
     @property
     def weight(self) -> float:
-        """Number of independent segments, n in the module docstring."""
+        """Number of independent segments, counted by their information."""
         return self.segments / self.inflation
 
     def powers(self, spectra: Array) -> Array:
@@ -240,159 +229,3 @@ def _matrices(vehicle: Vehicle, one: Experiment) -> list[Array]:
     A, Bv, Bd, C, Dv, Dd = continuous_model(vehicle, one)
     r = one.road.shape[1]
     return [A, Bv[:, :r], Bd[:, :r], C, Dv[:, :r], Dd[:, :r]]
-
-
-@dataclass(frozen=True, eq=False)
-class SpectralUnknowns:
-    """Names of all unknowns: logarithms of parameters of vehicle and road, delays of sensors, and logarithms of noise rms."""
-
-    free: tuple[str, ...]
-    delayed: tuple[str, ...]
-    noisy: tuple[str, ...]
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns."""
-        return len(self.free) + len(self.delayed) + len(self.noisy)
-
-
-class SpectralResiduals:
-    """Residuals of the spectra of all experiments, and their derivatives, for one choice of free parameters.
-
-    Args:
-        problem: the problem, in which the roads of all experiments are random.
-        free: names of the free parameters.
-    """
-
-    def __init__(self, problem: IdentificationProblem, free: Sequence[str]) -> None:
-        (road, *_) = [one.random for one in problem.experiments if one.random is not None]
-        self.problem, self.fixed = problem, {**road_values(road), **problem.first}
-        given = {one.signal: one.noise for each in problem.experiments for one in each.channels}
-        noisy = tuple(name for name in problem.signals if given[name] is None)
-        self.given = {name: noise for name, noise in given.items() if noise is not None}
-        self.unknowns = SpectralUnknowns(tuple(free), problem.delayed, noisy)
-        self.spectra = [each for one in problem.experiments for each in periodograms(one)]
-        self._at, self._now = None, (list[Array](), list[tuple[Array, Array]]())
-
-    @cached_property
-    def scale(self) -> dict[str, float]:
-        """Rms of each signal in the band that is used."""
-        squares = dict.fromkeys(self.problem.signals, 1e-300)
-        for each in self.spectra:
-            for name, square in zip(each.experiment.signals, each.powers(each.measured).tolist(), strict=True):
-                squares[name] += square
-        return {name: math.sqrt(square) for name, square in squares.items()}
-
-    def values(self, x: Array) -> dict[str, float]:
-        """Returns the values of all parameters."""
-        logs = np.clip(x, -FURTHEST, FURTHEST)
-        changes = dict(zip(self.unknowns.free, logs.tolist(), strict=False))
-        return {name: value * math.exp(changes.get(name, 0.0)) for name, value in self.fixed.items()}
-
-    def delays(self, x: Array) -> dict[str, float]:
-        """Returns the estimated delays [s]."""
-        return dict(zip(self.unknowns.delayed, x[len(self.unknowns.free) :].tolist(), strict=False))
-
-    def noise(self, x: Array) -> dict[str, float]:
-        """Returns the noise rms of each signal."""
-        logs = x[self.unknowns.size - len(self.unknowns.noisy) :].tolist()
-        own = {name: self.scale[name] * math.exp(min(log, FURTHEST)) for name, log in zip(self.unknowns.noisy, logs, strict=True)}
-        return {name: max({**own, **self.given}[name], LEAST_NOISE * self.scale[name]) for name in self.problem.signals}
-
-    def first(self) -> Array:
-        """Returns initial unknowns: the given parameters, the given delays, and a noise of a third of each signal."""
-        u = self.unknowns
-        given = {one.signal: one.delay for each in self.problem.experiments for one in each.channels}
-        return np.array([0.0] * len(u.free) + [given[name] for name in u.delayed] + [math.log(0.3)] * len(u.noisy))
-
-    def expected(self, x: Array) -> list[Array]:
-        """Returns the expected periodograms, shape (K, q, q)."""
-        self._evaluate(x)
-        return self._now[0]
-
-    def whitened(self, x: Array) -> list[tuple[Array, Array]]:
-        """Returns I - L^-1 P L^-*, shape (K, q, q), and L^-1 dE L^-*, shape (K, unknowns, q, q), of all periodograms."""
-        self._evaluate(x)
-        return self._now[1]
-
-    def _evaluate(self, x: Array) -> None:
-        if self._at is not None and np.array_equal(self._at, x):
-            return
-        self._at, self._now = x.copy(), (list[Array](), list[tuple[Array, Array]]())
-        values = self.values(x)
-        responses = {one: RoadResponse(self.problem, one, values, self.unknowns.free) for one in self.problem.experiments}
-        for one in self.spectra:
-            whole = self._expected(one, responses[one.experiment], x)
-            E = whole[:, 0]
-            inverse = np.linalg.inv(np.linalg.cholesky(E))
-            both = inverse[:, None] @ np.concatenate([one.measured[:, None], whole[:, 1:]], axis=1)
-            both = both @ np.swapaxes(inverse.conj(), 1, 2)[:, None]
-            self._now[0].append(E)
-            self._now[1].append((np.eye(E.shape[1]) - both[:, 0], both[:, 1:]))
-
-    def _expected(self, each: Periodograms, response: RoadResponse, x: Array) -> Array:
-        """Returns the expected periodograms, followed by their derivatives, shape (K, 1 + unknowns, q, q)."""
-        u, one, noise, own = self.unknowns, each.experiment, self.noise(x), self.delays(x)
-        omega = 2 * np.pi * each.grid[0]
-        F, changes = response(omega)
-        late = np.array([own.get(channel.signal, channel.delay) for channel in one.channels])
-        turn = np.exp(-1j * omega[:, None] * late)[:, :, None]
-        F, changes = turn * F, [turn * change for change in changes]
-        for name in u.delayed:
-            delayed = np.array([channel.signal == name for channel in one.channels])
-            changes.append(-1j * omega[:, None, None] * F * delayed[:, None])
-        S = F @ np.swapaxes(F.conj(), 1, 2)
-        stack = np.zeros((len(omega), 1 + u.size, *S.shape[1:]), dtype=complex)
-        stack[:, 0] = S
-        for i, change in enumerate(changes):
-            half = change @ np.swapaxes(F.conj(), 1, 2)
-            stack[:, 1 + i] = half + np.swapaxes(half.conj(), 1, 2)
-        for i, channel in enumerate(one.channels):
-            stack[:, 0, i, i] += 2 * one.step * noise[channel.signal] ** 2
-            if channel.signal in u.noisy:
-                place = 1 + u.size - len(u.noisy) + u.noisy.index(channel.signal)
-                stack[:, place, i, i] += 4 * one.step * noise[channel.signal] ** 2
-        return each.expected(stack)
-
-    def reduced(self, x: Array, noise: Mapping[str, float] | None = None) -> tuple[Array, Array]:
-        """Returns R and c of the least-squares problem, shapes (N, unknowns) and (N,). The noise is contained in x."""
-        R, c = [self.known_columns(x)], [self._known(self.values(x))]
-        for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):
-            size = math.sqrt(each.weight)
-            columns = np.moveaxis(changes, 1, -1).reshape(left.size, len(x))
-            R += [size * columns.real, size * columns.imag]
-            c += [size * left.real.ravel(), size * left.imag.ravel()]
-        return np.concatenate(R), np.concatenate(c)
-
-    def scores(self, x: Array) -> list[Array]:
-        """Returns the gradients of -log L at each frequency of all periodograms, shape (K, unknowns), scaled to be independent.
-
-        The sum of their outer products estimates the covariance of the gradient, even if the spectra are not as expected.
-        """
-        rows = list[Array]()
-        for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):
-            own = np.einsum("kuij,kij->ku", changes.conj(), left).real
-            rows.append(each.weight * math.sqrt(each.inflation) * own)
-        return rows
-
-    def deviance(self, x: Array) -> float:
-        """Returns -2 log L, up to a constant."""
-        known = self._known(self.values(x))
-        total = float(known @ known)
-        for each, E, (left, _) in zip(self.spectra, self.expected(x), self.whitened(x), strict=True):
-            total += 2 * each.weight * float(np.linalg.slogdet(E)[1].sum() - np.einsum("kii->", left).real)
-        return total
-
-    def _known(self, values: Mapping[str, float]) -> Array:
-        if not self.problem.known:
-            return np.zeros(0)
-        vehicle = self.problem.change(self.problem.vehicle, values)
-        return np.array([(one.of(vehicle) - one.value) / one.deviation for one in self.problem.known])
-
-    def known_columns(self, x: Array) -> Array:
-        """Returns the derivatives of the known combinations, each divided by its standard deviation, shape (k, unknowns)."""
-        values, columns = self.values(x), np.zeros((len(self.problem.known), len(x)))
-        for i, name in enumerate(self.unknowns.free if self.problem.known else ()):
-            ahead = {**values, name: values[name] * (1 + 1e-6)}
-            columns[:, i] = (self._known(ahead) - self._known(values)) / 1e-6
-        return columns

@@ -1,7 +1,6 @@
-"""Estimate of a vehicle's parameters from logs of a random road, by maximum likelihood of their spectra (`random_road`).
+"""Estimate of a vehicle's parameters from logs of a random road, by maximum likelihood of their spectra (`spectral_residuals`).
 
-Fit. The measured and the expected rms of a signal are compared in bands of equal numbers of frequencies. The fit is 1 minus the
-rms of the differences, relative to the rms of the signal.
+The search is Fisher's scoring: Newton's method in a trust region, with the expected information as half the second derivative.
 
 Test. If vehicle and road are right, the periodogram of a signal divided by its expected value has an exponential distribution at
 each frequency (a gamma distribution for the mean of several segments). The same is true for the part of a signal that cannot be
@@ -9,12 +8,10 @@ predicted from the other signals. For both ratios, one test compares the means i
 compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
 """
 
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,84 +20,81 @@ from models.common.arrays import Array
 from models.common.errors import InputError, list_names
 from models.document.document import Statement
 from models.document.figure import Curve, Figure, Panel
-from sim.studies.identification.estimate import SPREAD, STARTS, Estimate, IdentificationProblem
-from sim.studies.identification.estimate import _information as information
-from sim.studies.identification.estimate import _structure as structure
+from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import Experiment, signal_units
-from sim.studies.identification.random_road import ROUGHNESS, Periodograms, SpectralResiduals
-from sim.studies.identification.whiteness import LAGS, Whiteness
+from sim.studies.identification.problem import IdentificationProblem
+from sim.studies.identification.random_road import Periodograms
+from sim.studies.identification.search import CHI2, SPREAD, STARTS
+from sim.studies.identification.spectral_residuals import SpectralResiduals, bands
+from sim.studies.identification.structure import information, structure_of
+from sim.studies.identification.whiteness import Whiteness
 
 # The search ends if the derivatives of the deviance are smaller. An unknown with the standard deviation s is then off by at most
 # s^2 / 2 times this.
 SETTLED, COARSE = 1e-2, 1.0
-MOST = 40  # largest number of iterations of a search
-POOR = 0.8  # if the fit of a signal's spectrum is smaller, other starting points are tried
+MOST, FEW = 40, 10  # largest number of iterations of a search, and of one from a further starting point
+POOR = 0.5  # if the fit of a signal's spectrum is smaller, other starting points are tried
 
 
-@dataclass(frozen=True, eq=False)
-class SpectralEstimate(Estimate):
-    """Result of an identification from spectra; `differences` and `predicted` are empty."""
-
-    residuals: SpectralResiduals  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    @property
-    def fits(self) -> list[dict[str, float]]:
-        """For each experiment, the fit of each signal's spectrum; see the module docstring."""
-        return spectral_fits(self.residuals, self.x)
-
-    @cached_property
-    def noiseless(self) -> dict[str, float]:
-        """No signal is fitted exactly, because the road is random."""
-        return {}
-
-
-def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> SpectralEstimate:
-    """Identifies parameters of a vehicle and its road.
+def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> Estimate:
+    """Identifies parameters of a vehicle and its road. Estimates from spectra have no predicted signals.
 
     Args:
         free: names of the parameters to estimate; the others keep their initial values.
-        seed: random seed of further starting points, which are tried if the spectra of the first result are not as expected.
+        seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:
         InputError: the spectra determine no parameter.
     """
     every = SpectralResiduals(problem, free)
-    held, silent, directions = structure(every, every.first())
-    left = tuple(name for name in free if name not in (*held, *silent))
+    structure = structure_of(every.reduced(every.first(), {})[0], free)
+    left = tuple(name for name in free if name not in (*structure.held, *structure.silent))
     if not left:
         raise InputError(
             "the spectra determine neither a parameter nor a combination of parameters; measure a signal that depends on them"
         )
-    of = SpectralResiduals(problem, left)
-    best = search(of, with_levels(of))
-    if min(fit for each in spectral_fits(of, best) for fit in each.values()) < POOR:
-        rng = np.random.default_rng(seed)
-        for _ in range(STARTS):
-            shift = np.concatenate([rng.uniform(-SPREAD, SPREAD, len(left)), np.zeros(len(best) - len(left))])
-            with suppress(InputError, np.linalg.LinAlgError):  # parameters that no vehicle can have are skipped
-                best = min(best, search(of, with_levels(of, shift)), key=of.deviance)
-    R, C = information(of.reduced(best)[0], len(left))
-    inverse, values = np.linalg.pinv(R), of.values(best)
+    of, p = SpectralResiduals(problem, left), len(left)
+    x, rng = search(of, with_levels(of, of.first())), np.random.default_rng(seed)
+    for _ in range(STARTS if min(fit for each in of.fits(x) for fit in each.values()) < POOR else 0):
+        with suppress(InputError, np.linalg.LinAlgError):  # parameters that no vehicle can have are skipped
+            shift = np.concatenate([rng.uniform(-SPREAD, SPREAD, p), np.zeros(of.size - p)])
+            other = search(of, with_levels(of, of.first() + shift), most=FEW)
+            if of.deviance(other, {}) < of.deviance(x, {}) - CHI2:
+                x = search(of, other)
+    R, C = information(of.reduced(x, {})[0], p)
+    inverse, values = np.linalg.pinv(R), of.values(x)
     covariance = inverse @ inverse.T
-    scores = np.concatenate(of.scores(best))
-    own = np.concatenate([scores[:, : len(left)] - scores[:, len(left) :] @ C])
-    known = of.known_columns(best)
-    known = known[:, : len(left)] - known[:, len(left) :] @ C
-    return SpectralEstimate(
-        problem, values, left, held, directions, silent, of.delays(best), of.noise(best), covariance,
-        covariance @ (own.T @ own + known.T @ known) @ covariance, tuple(spectral_tests(of, best)), (), (), of.deviance(best), of,
-        best,
-    )  # fmt: skip
+    middle = np.zeros((p, p))
+    for rows in (of.scores(x), of.known_columns(x)):
+        own = rows[:, :p] - rows[:, p:] @ C
+        middle += own.T @ own
+    slopes = np.array([size / values[name] for name, size in of.sizes(values).items()])
+    return Estimate(
+        problem,
+        {name: values[name] for name in free},
+        left,
+        structure,
+        {name: float(x[i]) for name, i in of.delayed.items()},
+        of.noise(x),
+        covariance * np.outer(slopes, slopes),
+        covariance @ middle @ covariance * np.outer(slopes, slopes),
+        tuple(spectral_tests(of, x)),
+        (),
+        (),
+        of.deviance(x, {}),
+        of,
+        x,
+    )
 
 
 def nearby_spectra(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
     """Returns the solution of a search from the initial values; None if its deviance is larger than the given one."""
     of = SpectralResiduals(problem, free)
-    x = search(of, with_levels(of))
-    return of.values(x) if of.deviance(x) <= deviance else None
+    x = search(of, with_levels(of, of.first()))
+    return of.values(x) if of.deviance(x, {}) <= deviance else None
 
 
-def fits_elsewhere(of: SpectralEstimate, experiments: Sequence[Experiment]) -> Iterator[tuple[Experiment, Mapping[str, float]]]:
+def fits_elsewhere(of: Estimate, experiments: Sequence[Experiment]) -> Iterator[tuple[Experiment, Mapping[str, float]]]:
     """Yields the fits of experiments that were not used for the estimate."""
     for one in experiments:
         channels = tuple(
@@ -111,85 +105,44 @@ def fits_elsewhere(of: SpectralEstimate, experiments: Sequence[Experiment]) -> I
         if channels and one.random is not None:
             other = replace(one, channels=channels)
             residuals = SpectralResiduals(replace(of.problem, first=of.values, experiments=(other,), known=()), ())
-            yield other, spectral_fits(residuals, residuals.first())[0]
+            yield other, residuals.fits(residuals.first())[0]
 
 
-def with_levels(of: SpectralResiduals, shift: Array | None = None) -> Array:
-    """Returns initial unknowns, after a search for the noise and the roughness alone.
-
-    Args:
-        shift: change of the initial unknowns.
-    """
-    x = of.first() if shift is None else of.first() + shift
-    u = of.unknowns
-    return search(of, x, [i for i in range(u.size) if u.free[i : i + 1] == (ROUGHNESS,) or i >= u.size - len(u.noisy)])
+def with_levels(of: SpectralResiduals, x: Array) -> Array:
+    """Returns unknowns with the most likely roughness and noise for the other unknowns."""
+    return search(of, x, of.levels, COARSE) if of.levels else x
 
 
-def search(of: SpectralResiduals, x: Array, among: Sequence[int] | None = None) -> Array:
+def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: float = SETTLED, most: int = MOST) -> Array:
     """Returns the unknowns with the largest likelihood near x.
 
     Args:
         among: indices of the unknowns that change; all by default.
+        enough: derivatives of the deviance that count as zero.
+        most: largest number of iterations.
     """
     from scipy.optimize import minimize
 
-    chosen = np.arange(len(x)) if among is None else np.array(among, dtype=int)
-    if not len(chosen):
-        return x
-    u = of.unknowns
-    delays = np.arange(len(u.free), len(u.free) + len(u.delayed))
-    units = np.where(np.isin(np.arange(len(x)), delays), of.problem.experiments[0].step, 1.0)[chosen]
+    chosen, units = np.array(among or range(len(x))), np.ones(len(x))
+    units[list(of.delayed.values())] = of.problem.experiments[0].step
+    units = units[chosen]
 
     def point(y: Array) -> Array:
         moved = x.copy()
         moved[chosen] += units * y
         return moved
 
-    def slopes(y: Array) -> tuple[Array, Array]:
-        R, c = of.reduced(point(y))
-        return R[:, chosen] * units, c
-
     def gradient(y: Array) -> Array:
-        R, c = slopes(y)
-        return 2 * R.T @ c
+        R, c = of.reduced(point(y), {})
+        return 2 * units * (R[:, chosen].T @ c)
 
     def curvature(y: Array) -> Array:
-        R, _ = slopes(y)
+        R = of.reduced(point(y), {})[0][:, chosen] * units
         return 2 * R.T @ R
 
-    options: Any = {"gtol": SETTLED if among is None else COARSE, "maxiter": MOST, "initial_trust_radius": 0.5, "max_trust_radius": 2.0}
-    result = minimize(
-        lambda y: of.deviance(point(y)),
-        np.zeros(len(chosen)),
-        method="trust-exact",
-        jac=gradient,
-        hess=curvature,
-        options=options,
-    )
-    return point(result.x)
-
-
-def bands(count: int) -> list[slice]:
-    """Returns at most `LAGS` bands of about equal numbers of frequencies."""
-    edges = np.linspace(0, count, min(LAGS, max(1, count // 4)) + 1).astype(int).tolist()
-    return [slice(a, b) for a, b in itertools.pairwise(edges)]
-
-
-def spectral_fits(of: SpectralResiduals, x: Array) -> list[dict[str, float]]:
-    """Returns for each experiment the fit of each signal; see the module docstring."""
-    each = list[dict[str, float]]()
-    for one in of.problem.experiments:
-        rms = np.concatenate(
-            [
-                np.sqrt([[spectra.powers(matrices[part]) for part in bands(len(E))] for matrices in (spectra.measured, E)])
-                for spectra, E in zip(of.spectra, of.expected(x), strict=True)
-                if spectra.experiment is one
-            ],
-            axis=1,
-        )  # of the measured and the expected signals in all bands, shape (2, bands, q)
-        shares = np.linalg.norm(rms[0] - rms[1], axis=0) / np.linalg.norm(rms[0], axis=0)
-        each.append({name: 1 - share for name, share in zip(one.signals, shares.tolist(), strict=True)})
-    return each
+    options: Any = {"gtol": enough, "maxiter": most, "initial_trust_radius": 0.5, "max_trust_radius": 2.0}
+    methods: Any = {"method": "trust-exact", "jac": gradient, "hess": curvature, "options": options}
+    return point(minimize(lambda y: of.deviance(point(y), {}), np.zeros(len(chosen)), **methods).x)
 
 
 def spectral_tests(of: SpectralResiduals, x: Array) -> list[dict[str, Whiteness]]:
@@ -219,7 +172,7 @@ def together(tests: Sequence[Whiteness]) -> Whiteness:
     return Whiteness(correlations, tests[0].bound, outside, least, sum(one.samples for one in tests))
 
 
-def spectral_statement(of: SpectralEstimate) -> Statement:
+def spectral_statement(of: Estimate) -> Statement:
     """Returns the statement on the test of the spectra."""
     if of.white:
         return Statement(
@@ -233,13 +186,14 @@ def spectral_statement(of: SpectralEstimate) -> Statement:
     )
 
 
-def spectral_figure(of: SpectralEstimate) -> Figure:
+def spectral_figure(of: Estimate) -> Figure:
     """Returns a figure of the measured and the expected spectra of the first experiment."""
-    panels, first = list[Panel](), of.problem.experiments[0]
+    panels, first, residuals = list[Panel](), of.problem.experiments[0], of.residuals
+    assert isinstance(residuals, SpectralResiduals)
     units = signal_units(of.problem.vehicle.kind)
     for i, name in enumerate(first.signals):
         curves = list[Curve]()
-        for one, E in zip(of.residuals.spectra, of.residuals.expected(of.x), strict=True):
+        for one, E in zip(residuals.spectra, residuals.expected(of.x), strict=True):
             if one.experiment is first:
                 # The mean of a periodogram over a band has less scatter than the periodogram.
                 parts = bands(len(E))
