@@ -23,12 +23,13 @@ from sim.drive.__main__ import main as drive
 from sim.studies.identification.allowed import allowed_results
 from sim.studies.identification.columns import map_text
 from sim.studies.identification.command import IdentifyStudy
-from sim.studies.identification.estimate import Estimate, IdentificationProblem, estimate
+from sim.studies.identification.estimate import Estimate, estimate
 from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment
 from sim.studies.identification.identification import Identification, changed, identify, identify_experiments
 from sim.studies.identification.log_map import LogMap
 from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction
+from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.reading import LogStretches
 from sim.studies.identification.report import statements, vehicle_text
 
@@ -125,7 +126,7 @@ def test_intervals_are_those_of_theory():
     """
     experiment = log(CAR, (BODY, HUB, TRAVEL), chirp(30, 0.005), step=0.005, known=True)
     of = estimate(problem(experiment, fix=()), tuple(CAR.parameters))
-    assert of.held == (MASS,)
+    assert of.structure.held == (MASS,)
     for sensors, expected in CRAMER_RAO.items():
         covariance = of.covariance
         if len(sensors) < 3:
@@ -156,7 +157,7 @@ P = CAR.parameters
 def test_the_scale_is_named():
     """With five free parameters, motion alone gives four products, and the output says what would fix the scale."""
     of = identified([log(CAR, (BODY, TRAVEL), chirp(6))], fix=())
-    assert of.estimate.held == (MASS,)
+    assert of.estimate.structure.held == (MASS,)
     assert not of.intervals
     assert {name: round(power, 9) for name, power in of.estimate.ratios["tyre_stiffness"].items()} == {
         "tyre_stiffness": 1.0,
@@ -296,7 +297,7 @@ def test_an_unknown_road_gives_two_ratios():
     whole = log(CAR, (BODY, HUB, TRAVEL), chirp(6, 0.005, top=5.0), step=0.005, noise={BODY: 0.1, HUB: 0.0, TRAVEL: 2e-4})
     hub = whole.channels[1].values[:, None]
     of = identified([replace(whole, road=hub, hubs=True, from_rest=False, channels=whole.channels[::2])], fix=())
-    assert {*of.estimate.silent} == {"unsprung_mass", "tyre_stiffness"}
+    assert {*of.estimate.structure.silent} == {"unsprung_mass", "tyre_stiffness"}
     for name in ("suspension_stiffness", "suspension_damping"):
         value, deviation = of.estimate.combination(of.estimate.ratios[name])
         assert abs(np.log(value / (P[name] / P[MASS]))) < 4 * deviation
@@ -478,7 +479,7 @@ def test_a_dyno_log_gives_the_numbers_of_a_part(tmp_path):
     scale = identify(
         [path], on_a_dyno("bouc_wen", {"alpha": 60.0, "A": 2000.0, "beta": 2000.0, "gamma": 0.0}), log_map, ["mr.exponent"]
     )
-    assert scale.estimate.held == ("mr.alpha",)
+    assert scale.estimate.structure.held == ("mr.alpha",)
 
 
 def test_a_log_without_noise_is_no_evidence_against_the_vehicle(tmp_path):

@@ -20,9 +20,10 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.common.printed import brief
-from sim.studies.identification.estimate import Estimate, IdentificationProblem
+from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.prediction import continuous_model
+from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.whiteness import autoregressive
 
 FACTORS: Mapping[float, str] = {
@@ -110,8 +111,7 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
     """Returns the causes of a misfit, the largest first; empty if the residuals are white."""
     if of.white:
         return ()
-    residuals = of.residuals.residuals(of.x, of.noise, MOST_SAMPLES)
-    J = of.residuals.jacobian(of.x, of.noise, MOST_SAMPLES)
+    J, residuals = of.residuals.whole(of.x, of.noise, MOST_SAMPLES)
     explained = np.linalg.qr(J).Q
     own = residuals - explained @ (explained.T @ residuals)
     total, listed = float(own @ own), list[Cause]()

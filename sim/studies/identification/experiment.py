@@ -11,6 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import VehicleKind
+from models.roads.iso8608 import Iso8608
 
 # Signals of a part on a dyno: its extension from equilibrium, and its force, which is positive if it pulls the ends together
 EXTENSION, FORCE = "part_extension", "part_force"
@@ -68,6 +69,7 @@ class Experiment:
         part: name of a force element of the vehicle that a dyno moves alone; empty for a vehicle. `road` is then the extension of
             the part.
         start: time of the first sample on the log's clock [s].
+        random: random road with an unknown profile and a spectrum of known form; None for any other road.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Experiment:
     road_held: bool = False
     part: str = ""
     start: float = 0.0
+    random: Iso8608 | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.road).all() and np.isfinite(self.forces).all()):

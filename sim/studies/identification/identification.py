@@ -1,6 +1,6 @@
 """Identification of a vehicle from logs: free parameters, estimate, intervals, checks, and the resulting vehicle."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,20 +15,17 @@ from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
 from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
-from sim.studies.identification.estimate import (
-    CHI2,
-    Estimate,
-    IdentificationProblem,
-    estimate,
-    measured_fits,
-    nearby,
-    profile,
-    start_and_offsets,
-)
+from sim.studies.identification.estimate import Estimate, estimate, nearby
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
+from sim.studies.identification.problem import IdentificationProblem
+from sim.studies.identification.profile import profile
+from sim.studies.identification.random_road import ROAD_UNITS, free_road
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+from sim.studies.identification.residuals import Residuals
+from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
+from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra
 
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
@@ -94,7 +91,11 @@ class Identification:
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other values. If a table replaces a parameter, the table is scaled to the new value."""
+    """Returns a vehicle with other values. If a table replaces a parameter, the table is scaled to the new value.
+
+    Values of a random road are ignored.
+    """
+    values = {name: value for name, value in values.items() if name not in ROAD_UNITS}
     optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
     if missing := {name: value for name, value in values.items() if name in optional}:
         vehicle = vehicle.altered(missing)
@@ -194,18 +195,23 @@ def identify_experiments(
 ) -> Identification:
     """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
     experiments = tuple(one for log in logs for one in log.experiments)
-    first = free_parameters(vehicle, fix, free, {one.part for one in experiments})
+    road = free_road(experiments, fix, free)
+    of_vehicle = ([name for name in names if road is None or name not in ROAD_UNITS] for names in (fix, free))
+    first = free_parameters(vehicle, *of_vehicle, {one.part for one in experiments}) | (road or {})
     numbers = element_numbers(vehicle)
     zero = frozenset(name for name in free if not vehicle.parameters.get(name) and not numbers.get(name, (0.0,))[0])
     lowest = {name: numbers[name][1].low for name in first if name in numbers and numbers[name][1].low > LOWEST}
     problem = IdentificationProblem(vehicle, changed, first, experiments, log_map.known, zero, lowest)
-    remarks = [one for log in logs for one in log.remarks] + check_columns(problem)
+    remarks = [one for log in logs for one in log.remarks]
+    if road is not None:
+        return _identify_spectra(problem, hold_out, remarks, seed)
+    remarks += check_columns(problem)
     result = estimate(problem, tuple(first), seed)
     if air := airborne(result):
         problem, more = _on_the_ground(problem, air)
         remarks += more
         result = estimate(problem, tuple(first), seed)
-    mirror = _mirror(result)
+    mirror = _mirror(result, nearby)
     intervals = dict[str, Interval]()
     for name in result.free:
         if result.ratios and set(result.ratios[name]) != {name}:
@@ -221,6 +227,22 @@ def identify_experiments(
     if not result.white and sum(one.share for one in named) < NAMED:
         remarks += resonances(result)
     return Identification(result, intervals, named, tuple(remarks), mirror, ended, difference_in_mujoco(result))
+
+
+def _identify_spectra(
+    problem: IdentificationProblem, hold_out: Sequence[LogStretches], remarks: Sequence[str], seed: int
+) -> Identification:
+    """Returns the identification from logs of a random road; arguments as for `identify_experiments`."""
+    result = estimate_spectra(problem, tuple(problem.first), seed)
+    intervals = dict[str, Interval]()
+    for name in result.free:
+        if not result.ratios or set(result.ratios[name]) == {name}:
+            value, width = result.values[name], NORMAL * result.values[name] * result.deviations[name]
+            around = (value - width if value > width else None, value + width)
+            low, high = around if name in problem.from_zero else result.interval(name)
+            intervals[name] = Interval(low, high, "robust" if result.coloured else "covariance")
+    ended = tuple((one.name, fit) for log in hold_out for one, fit in fits_elsewhere(result, log.experiments))
+    return Identification(result, intervals, (), tuple(remarks), _mirror(result, nearby_spectra), ended, {})
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
@@ -254,7 +276,9 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
     return replace(problem, experiments=tuple(experiments)), remarks
 
 
-def _mirror(of: Estimate) -> dict[str, float]:
+def _mirror(
+    of: Estimate, nearby: Callable[[IdentificationProblem, Sequence[str], float], dict[str, float] | None]
+) -> dict[str, float]:
     """Returns a second solution of a quarter-car that fits equally well, in which suspension and tyre are exchanged.
 
     Let k_s, c_s be the stiffness and damping of the suspension, k_t, c_t those of the tyre, and m = m_s / (m_s + m_u). With a
@@ -276,6 +300,5 @@ def _mirror(of: Estimate) -> dict[str, float]:
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
     """Returns the fits of a log that was not used for the estimate. Only its starting state and offsets are estimated."""
-    problem = replace(of.problem, first=of.values, experiments=log.experiments, known=())
-    fits = measured_fits(problem.experiments, start_and_offsets(problem))
-    return list(zip(problem.experiments, fits, strict=True))
+    residuals = Residuals(replace(of.problem, first=of.values, experiments=log.experiments, known=()), ())
+    return list(zip(log.experiments, residuals.fits(first_unknowns(residuals)), strict=True))

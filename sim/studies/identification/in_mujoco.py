@@ -24,11 +24,9 @@ def difference_in_mujoco(of: Estimate) -> dict[str, float]:
         return {}
     count, steps = min(len(one.road), round(MOST / one.step)), max(1, int(np.ceil(one.step / TIMESTEP - 1e-9)))
     vehicle = prediction.vehicle(of.values)
-    _, offsets = of.residuals.unknowns.of_experiment(0)
     if (start := of.residuals.start(of.x, 0)) is not None:
         vehicle = replace(vehicle, start=dict(zip(vehicle.linear_model.states, start.tolist(), strict=True)))
-    shift = np.zeros(len(one.channels))
-    shift[list(of.residuals.unknowns.offsets[0])] = of.x[offsets]
+    shift = of.residuals.shifts(of.x, 0)
     posts = tuple(wheel.road_displacement for wheel in vehicle.kind.wheels)
     fine = one.step / steps * np.arange((count - 1) * steps + 1)
     heights = np.stack([np.interp(fine, one.step * np.arange(count), column[:count]) for column in one.road.T], axis=-1)

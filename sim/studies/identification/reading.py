@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, list_names
+from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.extensions import FEATURES
 from models.common.logs.measured_log import MeasuredLog, read_measured_log
 from models.common.printed import brief, percent, rough
+from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment, signal_units
 from sim.studies.identification.log_map import FLAT, HELD, LOGGED, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
@@ -19,6 +20,7 @@ from sim.studies.identification.part_prediction import part_of
 
 GAP = 5  # if more steps than this are missing, a new stretch of the log begins, with its own initial state
 LEAST = 50  # smallest number of samples in a stretch of the log
+SHORTEST = 8.0  # s, shortest stretch of a log of a random road
 # if this many consecutive values are equal although the sensor's values otherwise change, the sensor counts as failed
 FROZEN = 12
 CLIPPED = 3  # if this many consecutive samples equal a signal's largest or smallest value, the signal counts as clipped
@@ -104,6 +106,8 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     if keys.part:
         part_of(vehicle, keys.part)
         heights, acting, readable, keys = [EXTENSION], (), (FORCE,), replace(keys, road=LOGGED)
+    random = _random_road(keys, vehicle)
+    keys = keys if random is None else replace(keys, road=FLAT)
     driving = {name: values.pop(name) for name in (*heights, *acting) if name in values}
     for name in [name for name in values if name.startswith("road_velocity")]:
         values.pop(name)
@@ -128,9 +132,16 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
             values.pop(name)
     inputs, more = _filled(np.hstack([road, forces]), [*heights, *acting])
     remarks += more + ([] if hubs or keys.part else _slow(inputs[:, : len(heights)], step, late))
+    whole, least = np.isfinite(inputs).all(axis=1), LEAST
+    if random is not None:
+        if np.nan_to_num(forces).any():
+            raise InputError("control forces act, but a random road needs a passive vehicle; omit the columns of the forces")
+        filled, more = _filled(np.stack([*values.values()], axis=-1), [*values])
+        values, remarks = dict(zip(values, filled.T, strict=True)), remarks + more
+        whole, least = np.isfinite(filled).all(axis=1), max(LEAST, round(SHORTEST / step))
     experiments = list[Experiment]()
-    for first, last in _runs(np.asarray(np.isfinite(inputs).all(axis=1))):
-        if last - first < LEAST:
+    for first, last in _runs(np.asarray(whole)):
+        if last - first < least:
             continue
         channels = tuple(_channel(name, values[name][first:last], sensors[name]) for name in values)
         channels = tuple(one for one in channels if one.counted.any())
@@ -153,10 +164,12 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
                 keys.heights == HELD and not hubs and not keys.part,
                 keys.part,
                 float(time[0] + step * first),
+                random,
             )
         )
     if not experiments:
-        raise InputError(f"the log contains no {LEAST} successive samples without a gap in the road or the forces")
+        what = "the road or the forces" if random is None else "a signal"
+        raise InputError(f"the log contains no {least} successive samples without a gap in {what}")
     if len(experiments) > 1:
         names = (f"{one.name}, {rough(one.start)} s" for one in experiments)
         experiments = [replace(one, name=name) for one, name in zip(experiments, names, strict=True)]
@@ -217,6 +230,21 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
 
     road = choose_road(keys.road).build(vehicle, keys.speed, 0, keys.speed * float(time[-1] - time[0]) + 1.0)
     return RoadInput(vehicle, road, time - time[0]).heights, True
+
+
+def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
+    """Returns the random road of a log; None if the road is not random."""
+    from models.roads.choice import choose_road
+
+    if keys.part or keys.road in ROADS or not (road := choose_road(keys.road)).random:
+        return None
+    if not keys.speed:
+        raise InputError(f'road = {short_repr(keys.road)} needs the speed of the vehicle; add a line such as speed = "20 m/s"')
+    if vehicle.parts.nonlinear:
+        raise InputError("a random road needs straight springs and dampers; give the heights of the road, or fix the parts")
+    built = road.build(vehicle, keys.speed, 0, 0.0)
+    assert isinstance(built, Iso8608)
+    return built
 
 
 def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:

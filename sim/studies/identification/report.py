@@ -19,10 +19,14 @@ from models.document.figure import Curve, Figure, Panel
 from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.allowed_result import ALLOWED, WORST_BOUND, AllowedResult
-from sim.studies.identification.estimate import NORMAL, Estimate
+from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.identification import Identification, element_numbers
 from sim.studies.identification.plan import PLANS, ChirpPlan
+from sim.studies.identification.random_road import ROAD_UNITS
+from sim.studies.identification.search import NORMAL
+from sim.studies.identification.spectral_estimate import spectral_figure, spectral_statement
+from sim.studies.identification.spectral_residuals import SpectralResiduals
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
@@ -90,16 +94,16 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
     """Returns all parameters that were free."""
     estimate, rows = of.estimate, list[ParameterRow]()
     units = {one.name: one.unit for one in of.vehicle.kind.parameters}
-    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()}
+    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | ROAD_UNITS
     for name in estimate.problem.first:
         first, unit = estimate.problem.first[name], units.get(name, "")
         if name in of.intervals:
             one = of.intervals[name]
             ends = ", open below" * (one.low is None) + ", open above" * (one.high is None)
             rows.append(ParameterRow(name, unit, first, estimate.values[name], one.low, one.high, one.method + ends))
-        elif name in estimate.held:
+        elif name in estimate.structure.held:
             rows.append(ParameterRow(name, unit, first, None, None, None, "not determined: see the products"))
-        elif name in estimate.silent:
+        elif name in estimate.structure.silent:
             rows.append(ParameterRow(name, unit, first, None, None, None, "no measured signal depends on it"))
         else:
             rows.append(ParameterRow(name, unit, first, None, None, None, f"only {product_words(estimate.ratios[name])}"))
@@ -158,16 +162,12 @@ PRODUCTS = (
 def statements(of: Identification) -> Iterator[Statement]:
     """Yields statements on the quality of the estimate, and on parameters that the logs do not determine."""
     estimate = of.estimate
-    if estimate.directions:
-        scale = [one for one in estimate.directions if {round(abs(power), 6) for power in one.powers.values()} == {1.0}]
-        yield Statement(
-            f"The logs cannot determine {list_names(estimate.held)} together with all other parameters: {SCALE}."
-            if scale
-            else f"The logs cannot determine {list_names(estimate.held)} together with all other parameters; fix one of them, "
-            "or measure another signal.",
-            "ends",
-        )
-    for name in estimate.silent:
+    if estimate.structure.directions:
+        scale = any({round(abs(power), 6) for power in one.values()} == {1.0} for one in estimate.structure.directions)
+        advice = f": {SCALE}" if scale else "; fix one of them, or measure another signal"
+        held = list_names(estimate.structure.held)
+        yield Statement(f"The logs cannot determine {held} together with all other parameters{advice}.", "ends")
+    for name in estimate.structure.silent:
         yield Statement(f"No measured signal depends on {name}; it keeps its initial value.", "ends")
     for name in estimate.undetermined:
         if name in of.intervals:
@@ -186,6 +186,9 @@ def statements(of: Identification) -> Iterator[Statement]:
         largest = at_most(max(estimate.noiseless.values()))
         words = "fits to {} of its" if len(estimate.noiseless) == 1 else "fit to {} of their"
         yield Statement(f"{list_names(estimate.noiseless)} {words.format(largest)} rms, so there is no noise to test.", "holds")
+    if isinstance(estimate.residuals, SpectralResiduals):
+        yield spectral_statement(estimate)
+        return
     noisy = {*estimate.problem.signals} - {*estimate.noiseless}
     if noisy and estimate.white:
         yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
@@ -281,6 +284,8 @@ def _correlations(of: Estimate) -> dict[str, dict[str, float]]:
 def figure(of: Identification) -> Figure:
     """Returns a figure of the measured and predicted signals of the first experiment, and of the residuals."""
     estimate = of.estimate
+    if isinstance(estimate.residuals, SpectralResiduals):
+        return spectral_figure(estimate)
     one, predicted = estimate.problem.experiments[0], estimate.predicted[0]
     every = slice(None, None, max(1, len(one.road) // MOST_POINTS))
     panels = []
@@ -306,8 +311,8 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     replaced += [Replacement(("parts", part, key), {key: values[f"{part}.{key}"]}) for part, key in paths]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
-    held = {name: "not determined: the logs give only its products with other parameters" for name in estimate.held}
-    held |= {name: "no measured signal depends on it" for name in estimate.silent}
+    held = {name: "not determined: the logs give only its products with other parameters" for name in estimate.structure.held}
+    held |= {name: "no measured signal depends on it" for name in estimate.structure.silent}
     content: dict[str, Any] = {
         "intervals": intervals,
         "fixed": held,

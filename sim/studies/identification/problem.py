@@ -1,0 +1,69 @@
+"""Problem of an identification: the parameters to identify, the experiments that measured them, and known combinations."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.part_prediction import PartPrediction
+from sim.studies.identification.prediction import LogPrediction
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A combination of parameters that is known from elsewhere: a corner weight, or a weighed mass.
+
+    Attributes:
+        name: name of the combination in reports.
+        of: function that computes the combination for a vehicle [SI].
+        value: measured value.
+        deviation: standard deviation of the measured value.
+    """
+
+    name: str
+    of: Callable[[Vehicle], float]
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationProblem:
+    """Parameters to identify, and the experiments that measured them.
+
+    Attributes:
+        vehicle: vehicle with the initial values of its parameters.
+        change: function that returns the vehicle with other values of some parameters.
+        first: initial values of all free parameters, by name; each is above 0.
+        experiments: the experiments.
+        known: combinations that are known from elsewhere.
+        from_zero: names of the free parameters that may be zero; the unknowns of all others are logarithms.
+        lowest: smallest allowed values of parameters that need a limit above 0, such as an exponent.
+    """
+
+    vehicle: Vehicle
+    change: Callable[[Vehicle, Mapping[str, float]], Vehicle]
+    first: Mapping[str, float]
+    experiments: tuple[Experiment, ...]
+    known: tuple[Known, ...] = ()
+    from_zero: frozenset[str] = frozenset()
+    lowest: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @cached_property
+    def predictions(self) -> tuple[LogPrediction, ...]:
+        """The predictor of each experiment's signals."""
+        return tuple(
+            (PartPrediction if one.part else LogPrediction)(one, lambda values: self.change(self.vehicle, values))
+            for one in self.experiments
+        )
+
+    @cached_property
+    def signals(self) -> tuple[str, ...]:
+        """Names of all measured signals."""
+        return tuple(dict.fromkeys(name for one in self.experiments for name in one.signals))
+
+    @cached_property
+    def delayed(self) -> tuple[str, ...]:
+        """Names of the signals whose sensor's delay is estimated."""
+        names = {one.signal for each in self.experiments for one in each.channels if one.delay_estimated}
+        return tuple(name for name in self.signals if name in names)
