@@ -226,8 +226,8 @@ def guides() -> list[tuple[Path, str]]:
 def shown_in(key: str) -> str:
     """Returns a link to a page that contains a key of a vehicle file as code; empty if there is no such page."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
-    found = [path for path, text in guides() if there.search(text)]
-    return ", ".join(f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})" for path in found[:1])
+    path = next((path for path, text in guides() if key in text and there.search(text)), None)
+    return "" if path is None else f"[{path.stem.replace('-', ' ')}](../{path.relative_to(HERE).as_posix()})"
 
 
 def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:

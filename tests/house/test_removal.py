@@ -118,7 +118,9 @@ def test_the_core_drives_without_any_extension(tmp_path):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / path, tmp_path / path)
     code = CHECK + "from sim.bump import main\nfor car in ('quarter_car', 'half_car', 'full_car'):\n"
-    code += "    assert not main(['--controller', 'II', '--vehicle', car, '--duration', '0.2', '--no-logs'])\n"
+    code += (
+        "    assert not main(['--controller', 'II', '--vehicle', car, '--duration', '0.2', '--timestep', '4e-3', '--no-logs'])\n"
+    )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert done.stdout.count("MuJoCo agrees") == 3
@@ -134,9 +136,9 @@ for path in sorted(pathlib.Path("sim").rglob("*.py")):
 from sim.campaign.__main__ import main as campaign
 from sim.drive.__main__ import main
 key = next(name for name in ("ride", "peak_travel") if name in METRICS)
-road = ["--road", "iso8608:class=C", "--load", "brake:g=0.3", "--vehicle", "full_car"]
+road = ["--road", "iso8608:class=C", "--load", "brake:g=0.3", "--vehicle", "half_car"]
 status = main(["--controller", "passive", *road, "--duration", "0.2", "-v", "--no-logs"])
-sys.exit(status or campaign(["campaign.toml", "--best", key, "--picture", "ride.svg"]))
+sys.exit(status or campaign(["campaign.toml", "--workers", "1", "--best", key, "--picture", "ride.svg"]))
 """
 RUNS = """
 vehicles = ["quarter_car"]

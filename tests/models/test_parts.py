@@ -359,9 +359,14 @@ def in_suite(*some, of=EVERY):
 every = in_suite(*ON_QUARTER, *LARGER, *BESIDE[4::36])
 OVER_TRAVEL = [case for case in ON_QUARTER if case[2] == "over travel"]
 CONSTANT_RATIO = [("quarter_car", (name,), RATIOS[i % 2]) for i, name in enumerate(FOR_ALL)]
-steps = in_suite(*OVER_TRAVEL, *CONSTANT_RATIO, *LARGER, *BESIDE[4::36])  # as `every`, with one of two constant ratios
+SORTS = {(row.slot, row.rate is None, row.states, row.volts): name for name, row in reversed(ROWS.items())}
+# All rows over travel, native forms at a constant ratio, and a row of each sort, and a pair, on larger cars.
 # A constant ratio has the forms of curves and stops, but no form of a part with states, and r = 1 is one.
-of_energy = in_suite(*OVER_TRAVEL, *(("quarter_car", (name,), "constant") for name in FOR_ALL if not ROWS[name].rate), TOGETHER)
+NATIVE = [case for case in CONSTANT_RATIO if not ROWS[case[1][0]].rate]
+ON_LARGER = [case for case in LARGER if case[1][0] in SORTS.values()]
+steps = in_suite(*OVER_TRAVEL, *NATIVE[::2], *ON_LARGER[::2], TOGETHER)
+stacks = in_suite(*OVER_TRAVEL, *CONSTANT_RATIO, *LARGER[::3], TOGETHER)
+of_energy = in_suite(*OVER_TRAVEL, TOGETHER)
 ONE_EACH = [("quarter_car", (name,), RATIOS[i % 3]) for i, name in enumerate(FOR_ALL)]
 SIDE_BY_SIDE = {*ONE_EACH, OVER_TRAVEL[-1], TOGETHER, ("full_car", ("surface damper",), "constant")}
 # Whole runs of four cars are dear: each part at each ratio on the quarter-car and on a larger car, and a ninth of the pairs.
@@ -695,7 +700,7 @@ def test_energy_is_stored_or_lost(kind, names, ratio):
             made(check_energy, without_place(part))  # equal parts of several corners and cars are checked once
 
 
-@every
+@stacks
 def test_different_vehicles_are_stacked(kind, names, ratio):
     """The forces of vehicles that differ in parameters, and in tables, are those of each alone; a parameter scales its curve."""
     first, other = car(kind, names, ratio), car(kind, names, ratio, 1.3)
@@ -734,7 +739,7 @@ def by_stages(vehicle: Vehicle) -> Vehicle:
     return other
 
 
-@every
+@stacks
 def test_native_forms_are_the_stages(kind, names, ratio):
     """At random states MuJoCo's accelerations are those of a model in which a motor pulls with what is beyond the lines."""
     vehicle, rng, c = car(kind, names, ratio), np.random.default_rng(4), len(CORNERS[kind])
@@ -842,7 +847,6 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
         assert cells == tuple({*range(len(knots) + 1)} for knots in (ROWS[name].d, ROWS[name].v)), "every regime is reached"
 
 
-SORTS = {(row.slot, row.rate is None, row.states, row.volts): name for name, row in reversed(ROWS.items())}
 HARDEST = [case for case in SINGLE if case[1] == "over travel" and case[0][0] in SORTS.values()]
 
 

@@ -75,9 +75,49 @@ def made(make: Callable[..., T], *arguments: Any) -> T:
         with FileLock(file.with_suffix(".lock")):
             if not file.exists():
                 whole = file.with_suffix(".begun")
-                whole.write_bytes(cloudpickle.dumps(make(*arguments), protocol=5))  # 5 keeps arrays read-only
+                whole.write_bytes(_written(make(*arguments), make, arguments))
                 whole.rename(file)
-    return pickle.loads(file.read_bytes())
+    reader = pickle.Unpickler(io.BytesIO(file.read_bytes()))
+    reader.persistent_load = lambda _: _bound_in(make, arguments)
+    return reader.load()
+
+
+class _SharedBound(LaterBound):
+    """The lower bound of a controller's section, proved once in a session, and only if it is read."""
+
+    def __init__(self, vehicle: Vehicle, search: bool, name: str) -> None:
+        super().__init__(lambda: made(_bound_of, vehicle, search, name))
+        self._of = vehicle, search, name
+
+
+def _bound_in(make: Callable[..., Any], arguments: tuple[Any, ...]) -> LaterBound | None:
+    """Returns the bound that is proved later, of what a function makes; None if it makes it of no such bound."""
+    if make is _design_of:
+        return _SharedBound(*arguments)
+    return next((one for one in arguments if isinstance(one, LaterBound)), None)
+
+
+class _Lazily(cloudpickle.Pickler):
+    """Writes what is made, without the proof of a lower bound that nobody has read yet: it takes longer than most designs."""
+
+    known = False  # True if who reads has the bound that is proved later
+
+    def persistent_id(self, obj: Any) -> str | None:
+        return "bound" if self.known and type(obj) is LaterBound and "_proved" not in vars(obj) else None
+
+    def reducer_override(self, obj: Any) -> Any:
+        if type(obj) is _SharedBound and "_proved" not in vars(obj):
+            return _SharedBound, obj._of
+        return super().reducer_override(obj)
+
+
+def _written(thing: Any, make: Callable[..., Any], arguments: tuple[Any, ...]) -> bytes:
+    """Returns what is made as bytes."""
+    content = io.BytesIO()
+    pickler = _Lazily(content, protocol=5)  # 5 keeps arrays read-only
+    pickler.known = _bound_in(make, arguments) is not None
+    pickler.dump(thing)
+    return content.getvalue()
 
 
 def designed(vehicle: Vehicle, name: str) -> Controller:
@@ -198,6 +238,12 @@ def _design(designer: Designer, name: str, *arguments: Any, **named: Any) -> Con
 def _design_of(vehicle: Vehicle, search: bool, name: str) -> Controller:
     designer = _designers.setdefault(_place(Designer, vehicle, search), Designer(vehicle, search))
     return _originals["design"](designer, name)
+
+
+def _bound_of(vehicle: Vehicle, search: bool, name: str) -> Any:
+    designer = _designers.setdefault(_place(Designer, vehicle, search), Designer(vehicle, search))
+    entry = designer._entry(name)
+    return designer.lower_bound(entry.measured, entry.hardware)
 
 
 def _anew(path: str, *arguments: Any) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Positive
+from models.common.checks import Bound, Positive
 from models.common.errors import InputError
 from models.common.printed import about, brief, digits, percent, rough
 from models.laws.linear import LinearLaw, static_law
@@ -160,7 +160,7 @@ def full_order_design(
     Dyw: Array | None = None,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    fastest: float = np.inf,
+    fastest: Bound = np.inf,
     stable: bool = False,
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     fastest_pole: Positive | None = None,
