@@ -291,8 +291,7 @@ class SteppedRuns:
     @property
     def single(self) -> Response:
         """Response of the first run, including the values on the other side of vertical edges of the road."""
-        model = self.steps.model
-        return with_linear_sides(self.response.run(0), self.inputs[0], model.C @ model.jump + model.Cr, True)
+        return with_linear_sides(self.response.run(0), self.inputs[0], True)
 
     @property
     @np.errstate(over="ignore", invalid="ignore")
