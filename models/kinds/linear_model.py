@@ -253,25 +253,28 @@ class LinearModel:
         own = np.array([[output == force for force in self.inputs] for output in self.outputs])
         return replace(self, B=self.B * ratios, D=np.where(own, self.D, self.D * ratios))
 
-    def behind_lag(self, bandwidth: float | None) -> "LinearModel":
+    def behind_lag(self, bandwidth: float | Array | None) -> "LinearModel":
         """Returns the model with actuator lag: the inputs are the requested forces, and the actual forces are states.
 
         Each actual force f follows f' = bandwidth (u - f), and replaces the requested force u in all signals.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s]; None for actuators without lag.
+            bandwidth: corner frequency of every actuator [rad/s], or of each one, shape (m,), with 0 for an actuator without
+                lag; None for actuators without lag.
         """
         if bandwidth is None:
             return self
-        n, m = self.B.shape
+        rates = np.broadcast_to(bandwidth, len(self.inputs))
+        lags = np.flatnonzero(rates)
+        more = len(lags)
         return replace(
             self,
-            A=np.block([[self.A, self.B], [np.zeros((m, n)), -bandwidth * np.eye(m)]]),
-            B=np.vstack([np.zeros((n, m)), bandwidth * np.eye(m)]),
-            **self._with_rows(("Bw", "Br", "Bl", "Bt"), m, {}),
-            C=np.hstack([self.C, self.D]),
-            D=np.zeros_like(self.D),
-            states=(*self.states, *(f"lagged_{name}" for name in self.inputs)),
+            A=np.block([[self.A, self.B[:, lags]], [np.zeros((more, len(self.A))), -np.diag(rates[lags])]]),
+            B=np.vstack([np.where(rates == 0, self.B, 0.0), np.diag(rates)[lags]]),
+            **self._with_rows(("Bw", "Br", "Bl", "Bt"), more, {}),
+            C=np.hstack([self.C, self.D[:, lags]]),
+            D=np.where(rates == 0, self.D, 0.0),
+            states=(*self.states, *(f"lagged_{self.inputs[i]}" for i in lags)),
         )
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:

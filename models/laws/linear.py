@@ -135,13 +135,14 @@ class LinearLaw(LawSource):
             fastest, rounding = np.log(largest) / self.sample_period, ROUNDING * max(size, 1.0) / self.sample_period
         return float(fastest) if fastest > rounding else 0.0
 
-    def response(self, omega: float) -> Array:
-        """Returns the transfer matrix at a frequency, complex, shape (m, q).
+    def response(self, omega: float | Array) -> Array:
+        """Returns the transfer matrix at a frequency, complex, shape (m, q); for frequencies of shape (F,), shape (F, m, q).
 
         Args:
             omega: angular frequency [rad/s], for a discrete law below pi / period.
         """
-        at = 1j * omega if self.sample_period is None else np.exp(1j * omega * self.sample_period)
+        s = 1j * np.asarray(omega)[..., None, None]
+        at = s if self.sample_period is None else np.exp(s * self.sample_period)
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:

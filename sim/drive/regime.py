@@ -293,9 +293,8 @@ class EndDetector:
         flags = [False] * len(vehicles) if anti_windup is None else anti_windup
         self.lags = np.array([_way_and_interval(one, h, predicted) for one in vehicles]).T
         demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
-        self.way = np.where(
-            demanded, self.lags[0], 0.0
-        )  # without a limit on commands, a clipped demand has no effect before a force reaches its limit
+        # Without a limit on commands, a clipped demand has no effect before a force reaches its limit
+        self.way = np.where(demanded, self.lags[0], 0.0)
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
         self.before = dict[int, Array]()  # forces at the last two samples, by index of the signal [N], shape (N, 2)
         self.forces: dict[int, Array] = {}  # forces at the last sample, by index of the signal [N], shape (1, N)

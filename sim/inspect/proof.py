@@ -254,9 +254,8 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         h, end = log.timestep, result.get("measured_until")
         samples = round(result["measured_from"] / h), None if end is None else round(end / h) + 1
         measured, logged = record(run, measure_run(run, *samples)), mine[0].get("metrics", {})
-        now |= measured | {
-            "metrics": {name: one for name, one in measured["metrics"].items() if name in logged}
-        }  # metrics that did not yet exist when the log was written are omitted
+        # Metrics that did not yet exist when the log was written are omitted
+        now |= measured | {"metrics": {name: one for name, one in measured["metrics"].items() if name in logged}}
         now |= {"iri": roughness(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     if MEASURED_TOPIC in recorded.responses:

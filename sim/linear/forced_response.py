@@ -36,18 +36,11 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
         return forced_run(forces, road).single
     known = {name: values[0] for name, values in disturbances([road]).items()} | dict(zip(model.inputs, forces.T, strict=True))
-    loop = Loop(
-        plant_of(vehicle, sampled=True),
-        static_law(np.zeros((len(model.inputs), 0))),
-        (),
-        model.inputs,
-        (HoldInterval(h, 0),),
-        h,
-        exponential,
-    )
+    law, hold = static_law(np.zeros((len(model.inputs), 0))), (HoldInterval(h, 0),)
+    loop = Loop(plant_of(vehicle, sampled=True), law, (), model.inputs, hold, h, exponential)
     outputs = respond(loop, loop.plant.outputs, known, vehicle.start_state)
     response = response_by_name(road, loop.plant.outputs, outputs)
-    return with_linear_sides(response, road, model.C @ model.jump + model.Cr, True)
+    return with_linear_sides(response, road, True)
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
@@ -57,4 +50,4 @@ def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))
     outputs = recursion(Phi, road_forcing(plant, road) + forces @ Gamma.T, start) @ plant.C.T + acting_on(plant, road, forces)
     response = response_by_name(road, plant.outputs, outputs)
-    return with_linear_sides(response, road, model.C @ model.Bw + model.Cr, False)
+    return with_linear_sides(response, road, False)

@@ -60,20 +60,21 @@ def response_by_name(
     return Response(road.time, signals, values if steady is None else values + steady)
 
 
-def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:
+def with_linear_sides(response: Response, road: RoadInput, held: bool, of_heights: Array | None = None) -> Response:
     """Returns a linear response to which the values on the other side of each vertical edge of the road are added.
 
     Args:
         response: response of a single run over the road.
-        of_heights: jump of every output per jump of the road height under every wheel, shape (p, r).
         held: argument of the same name of `RoadInput.vertical_edges`.
+        of_heights: jump of every output per jump of the road height under every wheel, shape (p, r); None if no force jumps.
     """
     if not road.road.jumps:
         return response
-    wheels, outputs = road.vehicle.kind.wheels, road.vehicle.linear_model.outputs
-    rows = dict(zip(outputs, of_heights, strict=False)) | {
-        wheel.road_displacement: unit for wheel, unit in zip(wheels, np.eye(len(wheels)), strict=True)
-    }
+    wheels, model = road.vehicle.kind.wheels, road.vehicle.linear_model
+    if of_heights is None:
+        of_heights = model.C @ (model.jump if held else model.Bw) + model.Cr
+    rows = dict(zip(model.outputs, of_heights, strict=True))
+    rows |= dict(zip((wheel.road_displacement for wheel in wheels), np.eye(len(wheels)), strict=True))
     jump = np.stack([rows.get(name, np.zeros(len(wheels))) for name in response.names])
     sides = {k: response.values[k] + jump @ edge.change for k, edge in road.vertical_edges(held).items()}
     return response.with_sides(sides)

@@ -77,10 +77,7 @@ def sampled_response(controller: Controller, road: RoadInput, exponential: Calla
         road: road, with its vehicle.
         exponential: function for the matrix exponential; `taylor4` predicts RK4 up to rounding.
     """
-    model = road.vehicle.linear_model
-    return with_linear_sides(
-        sampled_responses(controller, [road], exponential).run(0), road, model.C @ model.jump + model.Cr, True
-    )
+    return with_linear_sides(sampled_responses(controller, [road], exponential).run(0), road, True)
 
 
 def sampled_responses(
@@ -130,10 +127,10 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
         states, forces = _recursion_from(moved, Phi, (forcing + drive)[:-1]) + ahead @ P.T, ahead @ preview.C.T
     outputs = states @ system.C.T + acting_on(system, road, forces)
     response = shown_signals(loop, [road], outputs[None], controller).run(0)
-    jump = system.part(model.outputs, with_ending(model.disturbances, HEIGHT)).D
-    return with_linear_sides(
-        response, road, system.part(model.outputs, ()).C @ system.part((), model.disturbances).B + jump, False
+    velocities, heights = (
+        system.part(model.outputs, names) for names in (model.disturbances, with_ending(model.disturbances, HEIGHT))
     )
+    return with_linear_sides(response, road, False, velocities.C @ velocities.B + heights.D)
 
 
 def shown_outputs(loop: Loop) -> tuple[str, ...]:

@@ -208,20 +208,10 @@ def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
     The gains have shapes (m, n) and (m, m).
     """
     model, rates = vehicle.linear_model, lag_rates(vehicle)
-    lags, pushing = np.flatnonzero(rates), ~np.isin(model.inputs, list(vehicle.dampers))
-    (n, m), at_once = model.B.shape, np.diag(rates == 0).astype(float)
-    acting, more = np.hstack([np.zeros((m, n)), np.eye(m)[:, lags]]), len(lags)
-    B, D = model.B * pushing, model.D * pushing
-    behind = replace(
-        model,
-        A=np.block([[model.A, B[:, lags]], [np.zeros((more, n)), -np.diag(rates[lags])]]),
-        B=np.vstack([B @ at_once, np.diag(rates)[lags]]),
-        C=np.hstack([model.C, D[:, lags]]),
-        D=D @ at_once,
-        **{name: np.pad(getattr(model, name), ((0, more), (0, 0))) for name in ("Bw", "Br", "Bl", "Bt")},
-        states=(*model.states, *(f"lagged_{model.inputs[i]}" for i in lags)),
-    )
-    return behind, acting, at_once
+    pushing, m = ~np.isin(model.inputs, list(vehicle.dampers)), len(rates)
+    behind = replace(model, B=model.B * pushing, D=model.D * pushing).behind_lag(rates)
+    acting = np.hstack([np.zeros((m, len(model.A))), np.eye(m)[:, rates > 0]])
+    return behind, acting, np.diag(rates == 0).astype(float)
 
 
 class _Laws:
@@ -301,8 +291,7 @@ class SteppedRuns:
     @property
     def single(self) -> Response:
         """Response of the first run, including the values on the other side of vertical edges of the road."""
-        model = self.steps.model
-        return with_linear_sides(self.response.run(0), self.inputs[0], model.C @ model.jump + model.Cr, True)
+        return with_linear_sides(self.response.run(0), self.inputs[0], True)
 
     @property
     @np.errstate(over="ignore", invalid="ignore")

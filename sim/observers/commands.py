@@ -37,9 +37,8 @@ SPEED = 1e-8  # m/s, and also a share of the largest closing velocity; the large
 EXACT = 1e-10
 
 
-Difference = tuple[
-    str, Array, Array, Array
-]  # each entry: name, times [s], and the difference and its allowed value relative to the peak, shape (K,)
+# Name, times [s], and the difference and its allowed value relative to the peak, shape (K,)
+Difference = tuple[str, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)

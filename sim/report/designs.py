@@ -112,7 +112,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     caption = f"Gain of {as_name(controller.name)}: force per unit of each measured signal."
     if law.states:
         at = [f for f in FREQUENCIES if law.sample_period is None or 2 * f * law.sample_period < 1]
-        entries, headings = np.stack([np.linalg.norm(law.response(2 * np.pi * f), axis=0) for f in at]), [f"{f:g} Hz" for f in at]
+        entries, headings = np.linalg.norm(law.response(2 * np.pi * np.array(at)), axis=1), [f"{f:g} Hz" for f in at]
         together = " of all forces together" if len(forces) > 1 else ""
         caption = f"Law of {as_name(controller.name)}, {states_text(law)}: force amplitude{together} per unit of each signal."
     rows = tuple(

@@ -56,9 +56,8 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
         for signal in (name for name, weight in vehicle.performance.items() if weight and name in model.outputs):
             k = int(np.abs(physics[signal]).argmax())
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
-            if (peak := float(physics.peak(signal))) > ROUNDING_FACTOR * least[
-                signal
-            ]:  # a smaller peak is only a rounding error, as in a run without motion
+            # A smaller peak is only a rounding error, as in a run without motion
+            if (peak := float(physics.peak(signal))) > ROUNDING_FACTOR * least[signal]:
                 effects.append((left / peak, f"the peak of {run.controller.name}'s {signal} at {WHEN.text(k * h)}"))
     worst = max(effects)
     return worst if worst[0] > SAID_SHARE else None

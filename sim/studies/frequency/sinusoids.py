@@ -27,10 +27,8 @@ from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
 LOWEST, HIGHEST = 0.1, 25.0  # Hz, lowest and highest frequency of the road
-ALIASING_LIMIT = (
-    # highest line relative to half the controller's sample rate; aliases (images) of a higher line could be near another line
-    0.98
-)
+# Highest line relative to half the controller's sample rate; aliases (images) of a higher line could be near another line
+ALIASING_LIMIT = 0.98
 # Images of a line are fitted around this many multiples of the sample rate; images at higher multiples are smaller
 IMAGES = 8
 DEAD = 1e-12  # free motion counts as decayed if its relative size is smaller than this

@@ -197,14 +197,17 @@ def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
     """
     if not is_linear(controller, vehicle):
         return math.inf
-    loop_stability = stability(loop_of(vehicle, controller).closed_loop.A)
-    return math.log(FORGOTTEN) / (2 * loop_stability.worst.real) if loop_stability.stable else math.inf
+    return _settling_time(loop_of(vehicle, controller).closed_loop.A)
 
 
 def passive_settling_time(vehicle: Vehicle) -> float:
     """Returns the settling time of the vehicle without control [s], see `settling_time`; infinite if it is unstable."""
-    own = stability(vehicle.linear_model.A)
-    return math.log(FORGOTTEN) / (2 * own.worst.real) if own.stable else math.inf
+    return _settling_time(vehicle.linear_model.A)
+
+
+def _settling_time(A: Array) -> float:
+    one = stability(A)
+    return math.log(FORGOTTEN) / (2 * one.worst.real) if one.stable else math.inf
 
 
 @one_thread()

@@ -361,9 +361,8 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     def grows(amount: float) -> bool:
         return radius(loop_of(later(amount).vehicle, controller, timestep)) > 1
 
-    late = (
-        math.inf
-    )  # near half the sample rate, a delayed hold is not equal to a phase lag, so the delay is searched for in the linear loop
+    # Near half the sample rate, a delayed hold is not equal to a phase lag, so the delay is searched for in the linear loop
+    late = math.inf
     if mine.all() and predicted.delay < SLOWEST:
         late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
     return LoopMargins(

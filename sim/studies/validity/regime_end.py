@@ -31,9 +31,8 @@ WITHIN = 1.001  # MuJoCo simulates the predicted height divided by this factor, 
 NEAR = 1.03  # because bodies rotate, another limit may be reached first if its height is within this factor
 FURTHEST = 4.0  # largest bump height to try, relative to the predicted height
 ROUNDS = 8  # largest number of times that MuJoCo runs are repeated at other heights
-ANALYSES = (
-    20  # largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit
-)
+# Largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit
+ANALYSES = 20
 # A run can be cut off early if, relative to the limits, all signals afterwards are below OVER times the largest one. CUTS times
 # are tried as the end.
 OVER, CUTS = 0.8, 30
