@@ -5,7 +5,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
+from operator import attrgetter
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -262,6 +263,11 @@ class Bump(Obstacle):
         return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))
 
 
+def of_road(name: str) -> Any:
+    """Returns an attribute of a `DerivedRoad` that is the attribute of its other road with the same name."""
+    return property(attrgetter(f"road.{name}"), doc=f"`{name}` of the other road.")
+
+
 @dataclass(frozen=True, eq=False)
 class DerivedRoad(Road):
     """Road that is derived from another road, with the same speed, track, duration and kinks.
@@ -272,53 +278,9 @@ class DerivedRoad(Road):
 
     road: Road
 
-    @property
-    def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Speed on the other road [m/s]."""
-        return self.road.speed
-
-    @property
-    def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Track of the other road."""
-        return self.road.track
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of the other road's description."""
-        return self.road.units
-
-    @property
-    def duration(self) -> float:
-        """Duration of the other road [s]."""
-        return self.road.duration
-
-    @property
-    def kinks(self) -> tuple[float, ...]:
-        """Kinks of the other road."""
-        return self.road.kinks
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings about the other road."""
-        return self.road.warnings
-
-    @property
-    def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Jumps of the other road."""
-        return self.road.jumps
-
-    @property
-    def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the vehicle drives along the other road."""
-        return self.road.laid
-
-    def track_of(self, wheel: Wheel) -> str:
-        """Returns the track of the other road under a wheel."""
-        return self.road.track_of(wheel)
-
-    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns the delay of a wheel on the other road [s]."""
-        return self.road.delay_of(wheel, parameters)
+    speed, track, laid, track_of, delay_of = map(of_road, ("speed", "track", "laid", "track_of", "delay_of"))
+    units, duration, kinks = map(of_road, ("units", "duration", "kinks"))  # pyright: ignore[reportIncompatibleMethodOverride]
+    jumps, warnings = map(of_road, ("jumps", "warnings"))  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class MeasuredRoad(Road):
