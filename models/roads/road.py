@@ -5,13 +5,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from operator import attrgetter
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_fields
+from models.common.checks import check_fields, forwarded_attribute
 from models.common.errors import InputError
 from models.common.schema import SI, Choice, Section, keys
 from models.kinds.kind import Parameters, Wheel
@@ -263,11 +262,6 @@ class Bump(Obstacle):
         return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))
 
 
-def of_road(name: str) -> Any:
-    """Returns an attribute of a `DerivedRoad` that is the attribute of its other road with the same name."""
-    return property(attrgetter(f"road.{name}"), doc=f"`{name}` of the other road.")
-
-
 @dataclass(frozen=True, eq=False)
 class DerivedRoad(Road):
     """Road that is derived from another road, with the same speed, track, duration and kinks.
@@ -278,9 +272,11 @@ class DerivedRoad(Road):
 
     road: Road
 
-    speed, track, laid, track_of, delay_of = map(of_road, ("speed", "track", "laid", "track_of", "delay_of"))
-    units, duration, kinks = map(of_road, ("units", "duration", "kinks"))  # pyright: ignore[reportIncompatibleMethodOverride]
-    jumps, warnings = map(of_road, ("jumps", "warnings"))  # pyright: ignore[reportIncompatibleMethodOverride]
+    speed, track, laid = (forwarded_attribute(f"road.{name}") for name in ("speed", "track", "laid"))
+    track_of, delay_of = forwarded_attribute("road.track_of"), forwarded_attribute("road.delay_of")
+    units, duration = forwarded_attribute("road.units"), forwarded_attribute("road.duration")  # pyright: ignore[reportIncompatibleMethodOverride]
+    kinks, jumps = forwarded_attribute("road.kinks"), forwarded_attribute("road.jumps")  # pyright: ignore[reportIncompatibleMethodOverride]
+    warnings = forwarded_attribute("road.warnings")  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class MeasuredRoad(Road):
@@ -299,11 +295,11 @@ class MeasuredRoad(Road):
         """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on a side."""
 
     @abstractmethod
-    def departure(self, t: Array, side: str) -> Array:
+    def departure(self, t: Array, side: str = "") -> Array:
         """Returns the height of the road above the steady motion [m] at times t [s], same shape; 0 up to time 0."""
 
     @abstractmethod
-    def departure_rate(self, t: Array, side: str) -> Array:
+    def departure_rate(self, t: Array, side: str = "") -> Array:
         """Returns the time derivative of `departure` [m/s] at times t [s], same shape."""
 
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -328,7 +324,7 @@ class MeasuredRoad(Road):
         """
         return tuple(self.knots.tolist())
 
-    def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
+    def mean_departure(self, t: Array, timestep: float, side: str = "") -> Array:
         """Returns the mean of `departure` over time steps [m], exact except for rounding errors.
 
         Args:
@@ -350,21 +346,8 @@ class Departure(DerivedRoad):
 
     road: MeasuredRoad
 
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height above the steady motion [m]."""
-        return self.road.departure(t, side)
-
-    def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the mean height above the steady motion over time steps [m]."""
-        return self.road.mean_departure(t, timestep, side)
-
-    def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of the height above the steady motion [m/s]."""
-        return self.road.departure_rate(t, side)
-
-    def describe(self) -> dict[str, float | str]:
-        """Returns the description of the measured road."""
-        return self.road.describe()
+    displacement, velocity = forwarded_attribute("road.departure"), forwarded_attribute("road.departure_rate")
+    held_height, describe = forwarded_attribute("road.mean_departure"), forwarded_attribute("road.describe")
 
     def scaled(self, factor: float) -> Road:
         """Returns the measured road with multiplied heights, relative to its own steady motion."""

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import forwarded_attribute
 from models.common.errors import InputError
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.roads.loads.load import Load
-from models.roads.road import DerivedRoad, of_road
+from models.roads.road import DerivedRoad
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 
@@ -26,8 +27,8 @@ class RoadWithLoads(DerivedRoad):
 
     on_body: Sequence[Load]
 
-    displacement, velocity = of_road("displacement"), of_road("velocity")
-    from_start, points = of_road("from_start"), of_road("points")  # pyright: ignore[reportIncompatibleMethodOverride]
+    displacement, velocity = forwarded_attribute("road.displacement"), forwarded_attribute("road.velocity")
+    from_start, points = forwarded_attribute("road.from_start"), forwarded_attribute("road.points")  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def loaded(self) -> bool:
