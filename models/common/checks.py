@@ -175,6 +175,11 @@ def accept_former_names(**names: str) -> Callable[[F], F]:
     return decorate
 
 
+def forwarded_attribute(path: str) -> Any:
+    """Returns a property that is an attribute of another object, such as `road.speed` for `self.road.speed`."""
+    return property(attrgetter(path), doc=f"The attribute `{path}`.")
+
+
 class ReadOnly(dict[str, Any]):
     """Dictionary that refuses changes, because changed entries would not be checked."""
 

@@ -20,10 +20,11 @@ import numpy as np
 
 from models.characteristics.adjustable_range import CURVE_KEYS, Damper, check_unlimited
 from models.common.arrays import Array
+from models.common.checks import forwarded_attribute
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import Limit, Number, Part, SettablePart, Straight
+from models.parts.part import Number, Part, SettablePart, Straight
 
 SAME = 1e-12  # forces that differ by less than this share count as equal, because of rounding errors
 SPEED = 1.0  # the element is represented by its damping coefficient at this velocity [m/s]
@@ -66,11 +67,6 @@ class ElementDamper(Damper):
         return dampers[0]
 
 
-def _of(part: str, name: str) -> Any:
-    """Returns a property that reads the property of the same name from another part, which is an attribute of the object."""
-    return property(lambda self: getattr(getattr(self, part), name))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SetElement(SettablePart):
     """Element whose input is its voltage, before the motion ratio.
@@ -83,10 +79,12 @@ class SetElement(SettablePart):
     element: Any
     without: Part
 
-    states, fastest = _of("element", "states"), _of("element", "fastest")
-    line, is_nonlinear = _of("without", "line"), _of("without", "is_nonlinear")  # pyright: ignore[reportIncompatibleMethodOverride]
-    range = _of("without", "range")  # pyright: ignore[reportIncompatibleMethodOverride]
-    kinked_at_rest = _of("without", "kinked_at_rest")  # pyright: ignore[reportIncompatibleMethodOverride]
+    states, fastest = forwarded_attribute("element.states"), forwarded_attribute("element.fastest")
+    stored, limits = forwarded_attribute("without.stored"), forwarded_attribute("without.limits")
+    line, is_nonlinear, range, kinked_at_rest = (  # pyright: ignore[reportIncompatibleMethodOverride]
+        forwarded_attribute(f"without.{name}") for name in ("line", "is_nonlinear", "range", "kinked_at_rest")
+    )
+    words = forwarded_attribute("damper.words")  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def coefficient(self) -> str:
@@ -115,9 +113,6 @@ class SetElement(SettablePart):
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.without.rate(d, v, z) if isinstance(self.without, Straight) else self.element.rate(d, v, z, u)
-
-    def stored(self, d: Array, z: Any = None) -> Array:
-        return self.without.stored(d, z)
 
     def push(self, d: Array, v: Array, z: Any, u: Array | float, before: Array | float = 0.0) -> Array:
         """Returns the pushing force at voltages u minus the pushing force at voltages `before` [N], shape (...).
@@ -158,15 +153,8 @@ class SetElement(SettablePart):
         best = np.where(near, np.abs(settings), np.inf).argmin(axis=0)
         return np.take_along_axis(settings, best[None], axis=0)[0]
 
-    def limits(self) -> Sequence[Limit]:
-        return self.without.limits()
-
     def write_input(self, tendon: Tendon, by_motor: bool) -> None:
         tendon.adjust_input(self.force, 0.0, (), float(self.low), self.ratio, self.damper.bandwidth)
-
-    @property
-    def words(self) -> str:
-        return self.damper.words
 
 
 def _roots(a: Array, b: Array, c: Array) -> list[Array]:

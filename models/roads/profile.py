@@ -127,14 +127,14 @@ class Profile(MeasuredRoad):
         first = self.heights[0]
         return float(first[int(side == "right")] - first.mean()) if side else 0.0, self._slope(side, 0) * self.speed
 
-    def departure(self, t: Array, side: str) -> Array:
+    def departure(self, t: Array, side: str = "") -> Array:
         """Returns the height above the plane [m]."""
         x, z = self._x, self._over_plane[side]
         at = np.asarray(t) * self.speed
         on = np.interp(at, x, z) if self.join == "straight" else self._splines[side](np.clip(at, 0.0, self._end))
         return on + (self._slope(side, 1) - self._slope(side, 0)) * np.maximum(at - self._end, 0.0)
 
-    def departure_rate(self, t: Array, side: str) -> Array:
+    def departure_rate(self, t: Array, side: str = "") -> Array:
         """Returns the time derivative of `departure` [m/s]; at a point, the derivative of the line after the point."""
         x, z = self._x, self._over_plane[side]
         at, after = np.asarray(t) * self.speed, self._slope(side, 1) - self._slope(side, 0)

@@ -83,11 +83,11 @@ class Rig(MeasuredRoad):
         first = self.heights[0]
         return float(first[self._index(side)] - first.mean()), 0.0
 
-    def departure(self, t: Array, side: str) -> Array:
+    def departure(self, t: Array, side: str = "") -> Array:
         """Returns the spline of a post relative to its first height [m]."""
         return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
 
-    def departure_rate(self, t: Array, side: str) -> Array:
+    def departure_rate(self, t: Array, side: str = "") -> Array:
         """Returns the time derivative of the spline [m/s]."""
         t = np.asarray(t, dtype=float)
         on = (t >= 0) & (t <= self.duration)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_fields
+from models.common.checks import check_fields, forwarded_attribute
 from models.common.errors import InputError
 from models.common.schema import SI, Choice, Section, keys
 from models.kinds.kind import Parameters, Wheel
@@ -272,53 +272,11 @@ class DerivedRoad(Road):
 
     road: Road
 
-    @property
-    def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Speed on the other road [m/s]."""
-        return self.road.speed
-
-    @property
-    def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Track of the other road."""
-        return self.road.track
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of the other road's description."""
-        return self.road.units
-
-    @property
-    def duration(self) -> float:
-        """Duration of the other road [s]."""
-        return self.road.duration
-
-    @property
-    def kinks(self) -> tuple[float, ...]:
-        """Kinks of the other road."""
-        return self.road.kinks
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings about the other road."""
-        return self.road.warnings
-
-    @property
-    def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Jumps of the other road."""
-        return self.road.jumps
-
-    @property
-    def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the vehicle drives along the other road."""
-        return self.road.laid
-
-    def track_of(self, wheel: Wheel) -> str:
-        """Returns the track of the other road under a wheel."""
-        return self.road.track_of(wheel)
-
-    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns the delay of a wheel on the other road [s]."""
-        return self.road.delay_of(wheel, parameters)
+    speed, track, laid = (forwarded_attribute(f"road.{name}") for name in ("speed", "track", "laid"))
+    track_of, delay_of = forwarded_attribute("road.track_of"), forwarded_attribute("road.delay_of")
+    units, duration = forwarded_attribute("road.units"), forwarded_attribute("road.duration")  # pyright: ignore[reportIncompatibleMethodOverride]
+    kinks, jumps = forwarded_attribute("road.kinks"), forwarded_attribute("road.jumps")  # pyright: ignore[reportIncompatibleMethodOverride]
+    warnings = forwarded_attribute("road.warnings")  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class MeasuredRoad(Road):
@@ -337,11 +295,11 @@ class MeasuredRoad(Road):
         """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on a side."""
 
     @abstractmethod
-    def departure(self, t: Array, side: str) -> Array:
+    def departure(self, t: Array, side: str = "") -> Array:
         """Returns the height of the road above the steady motion [m] at times t [s], same shape; 0 up to time 0."""
 
     @abstractmethod
-    def departure_rate(self, t: Array, side: str) -> Array:
+    def departure_rate(self, t: Array, side: str = "") -> Array:
         """Returns the time derivative of `departure` [m/s] at times t [s], same shape."""
 
     def displacement(self, t: Array, side: str = "") -> Array:
@@ -366,7 +324,7 @@ class MeasuredRoad(Road):
         """
         return tuple(self.knots.tolist())
 
-    def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
+    def mean_departure(self, t: Array, timestep: float, side: str = "") -> Array:
         """Returns the mean of `departure` over time steps [m], exact except for rounding errors.
 
         Args:
@@ -388,21 +346,8 @@ class Departure(DerivedRoad):
 
     road: MeasuredRoad
 
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height above the steady motion [m]."""
-        return self.road.departure(t, side)
-
-    def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the mean height above the steady motion over time steps [m]."""
-        return self.road.mean_departure(t, timestep, side)
-
-    def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the time derivative of the height above the steady motion [m/s]."""
-        return self.road.departure_rate(t, side)
-
-    def describe(self) -> dict[str, float | str]:
-        """Returns the description of the measured road."""
-        return self.road.describe()
+    displacement, velocity = forwarded_attribute("road.departure"), forwarded_attribute("road.departure_rate")
+    held_height, describe = forwarded_attribute("road.mean_departure"), forwarded_attribute("road.describe")
 
     def scaled(self, factor: float) -> Road:
         """Returns the measured road with multiplied heights, relative to its own steady motion."""

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import forwarded_attribute
 from models.common.errors import InputError
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.roads.loads.load import Load
-from models.roads.road import DerivedRoad, Road
+from models.roads.road import DerivedRoad
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 
@@ -26,15 +27,8 @@ class RoadWithLoads(DerivedRoad):
 
     on_body: Sequence[Load]
 
-    @property
-    def from_start(self) -> Road:
-        """The road without loads, relative to the steady motion in which the vehicle starts."""
-        return self.road.from_start
-
-    @property
-    def points(self) -> bytes | None:
-        """Points of the road."""
-        return self.road.points
+    displacement, velocity = forwarded_attribute("road.displacement"), forwarded_attribute("road.velocity")
+    from_start, points = forwarded_attribute("road.from_start"), forwarded_attribute("road.points")  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def loaded(self) -> bool:
@@ -72,14 +66,6 @@ class RoadWithLoads(DerivedRoad):
             for name, values in values_of(load).items():
                 total[:, names.index(name)] += values
         return total
-
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the displacement of the road [m]."""
-        return self.road.displacement(t, side)
-
-    def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the velocity of the road [m/s]."""
-        return self.road.velocity(t, side)
 
     def describe(self) -> dict[str, float | str]:
         """Returns the road's description, and the texts that define its loads."""
