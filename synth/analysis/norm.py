@@ -28,7 +28,7 @@ from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
+from synth.plant.double_double import solve_closely, with_imaginary
 from synth.plant.generalized import Plant
 
 # number of tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
@@ -76,10 +76,6 @@ def _smaller_square(T: Array) -> Array:
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the precision, and an estimate of the error.
 
-    The residual of the linear system is computed with twice the precision, and the solution is corrected until it converges.
-    Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned
-    that a solution in floats has no correct digit.
-
     Args:
         system: system from w to z, including its low-order digits `beyond`.
         omega: angular frequencies [rad/s], shape (F,).
@@ -87,34 +83,12 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     Returns:
         T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
     """
-    (n, r), Bw, A, C = system.Bw.shape, system.Bw, system.A, system.C
-    beyond = np.zeros((n + len(C), n)) if system.beyond is None else system.beyond
-    A_low, C_low = beyond[:n], beyond[n:]
-    turned = omega[:, None, None]
-    shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
-    # The columns of the real parts come before the columns of the imaginary parts
-    high, low = np.zeros((2, len(omega), n, 2 * r))
-    T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
-    for _ in range(MOST_TURNS):
-        by, into = exact_product(turned, _times_j(high)), product(A, high)
-        change, lost = exact_sum(into[0], -by[0])
-        residual, rest = exact_sum(right, change)
-        residual += rest + lost + into[1] - by[1] + A @ low + A_low @ high - turned * _times_j(low)
-        step = np.linalg.solve(shifted, residual[..., :r] + 1j * residual[..., r:])
-        high, lost = exact_sum(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
-        high, low = exact_sum(high, low + lost)
-        out, lost = product(C, high)
-        out = out + lost + C @ low + C_low @ high
-        before, T = T, out[..., :r] + 1j * out[..., r:] + system.Dw
-        moved = np.abs(T - before).max(axis=(1, 2), initial=0.0)
-        if np.all(moved <= CONVERGED_CHANGE * np.abs(T).max(axis=(1, 2), initial=0.0)):
-            break
-    return T, moved
-
-
-def _times_j(x: Array) -> Array:
-    r = x.shape[-1] // 2
-    return np.concatenate([-x[..., r:], x[..., :r]], axis=-1)
+    n, Bw = len(system.A), system.Bw
+    beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
+    turned = omega[:, None, None] * np.eye(n)
+    high, low = with_imaginary(np.broadcast_to(-system.A, turned.shape), turned), with_imaginary(-beyond[:n], np.zeros((n, n)))
+    T, moved = solve_closely(high, low, np.vstack([Bw, 0 * Bw]), system.C, beyond[n:])
+    return T + system.Dw, moved
 
 
 class Gain:
