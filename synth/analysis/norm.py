@@ -30,6 +30,7 @@ from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
 from synth.plant.double_double import solve_closely, with_imaginary
 from synth.plant.generalized import Plant
+from synth.plant.units import nearest_power
 
 # number of tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
 ZOOMS = 6
@@ -424,9 +425,9 @@ def level_crossings(system: Plant, level: float) -> Array:
         # The pencil keeps w and z as unknowns. Eliminating w and z would be impossible if the level equals the gain at
         # infinity. The errors of the eigenvalues grow with the largest entry. The units of time, states and z are therefore
         # powers of two that give the entries similar sizes.
-        rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
+        rate, of_z = nearest_power(float(np.linalg.norm(A, 2))), nearest_power(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
-        of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
+        of_states = nearest_power(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
         Bw, C = Bw / of_states, C * of_states
         pencil = np.zeros((2 * n + r + d, 2 * n + r + d))
         pencil[:n, :n], pencil[n : 2 * n, n : 2 * n] = A, -A.T
@@ -441,11 +442,6 @@ def level_crossings(system: Plant, level: float) -> Array:
     proposed = np.imag(eigenvalues)
     # The eigenvalues are conjugate pairs, so the positive imaginary parts are sufficient
     return np.append(0.0, np.sort(proposed[proposed > 0]))
-
-
-def _power_of_two(size: float) -> float:
-    """Returns the power of two that is nearest to a size; 1 if the size is 0 or not finite."""
-    return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
 
 
 def sweep_norm(system: Plant) -> tuple[float, float]:

@@ -232,8 +232,8 @@ def _in_units(plant: Plant, states: Array, inputs: Array) -> Plant:
 
 
 def nearest_power(size: float) -> float:
-    """Returns the power of two that is nearest to a size."""
-    return float(np.exp2(np.round(np.log2(size))))
+    """Returns the power of two that is nearest to a size; 1 if the size is 0 or not finite."""
+    return float(np.exp2(np.round(np.log2(size)))) if 0 < size < np.inf else 1.0
 
 
 def size(matrix: Array) -> float:
