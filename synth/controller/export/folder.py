@@ -125,7 +125,7 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certifica
         "FLAGS": FLAGS,
         "CERTIFICATE": CERTIFICATE,
     }
-    return source.template("folder.md", **words)
+    return source.template("README.template", **words)
 
 
 def _lmi_certificates(certificates: Mapping[str, str]) -> str:
