@@ -37,9 +37,9 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.analysis.invariant_point import limit_at, limit_at_infinity
 from synth.analysis.rigorous import radius_of_solution
-from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near
+from synth.analysis.synthesis_inequality import SynthesisInequality
 from synth.plant.generalized import Plant
-from synth.plant.units import own_units
+from synth.plant.units import nearest_power, own_units
 
 STEPS = 3  # number of Newton steps that improve the approximation of a zero
 # factor on the rounding error of a real sum of products, so that the error bound also covers complex products and matrix norms
@@ -157,15 +157,15 @@ class _Pencil(NamedTuple):
     def of(cls, plant: Plant, side: SynthesisInequality) -> "_Pencil":
         """Returns the equations in units that are powers of two, so that scaling causes no rounding error."""
         units = own_units(plant)
-        rate, states = scale_near(units.rate) if plant.dt is None else 1.0, units.states[side.coordinates]
+        rate, states = nearest_power(units.rate) if plant.dt is None else 1.0, units.states[side.coordinates]
         try:
             U, Q, b, c = side.floats()
         except OverflowError:  # the matrix entries differ by too many orders of magnitude
             return _EMPTY
         U, Q = U * states, Q * states / rate
-        rows = np.array([scale_near(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]
+        rows = np.array([nearest_power(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]
         U, Q, b, c = U / rows, Q / rows, b / rows, c / rows
-        y, p = scale_near(float(np.linalg.norm(b))), scale_near(float(np.linalg.norm(c)))
+        y, p = nearest_power(float(np.linalg.norm(b))), nearest_power(float(np.linalg.norm(c)))
         return cls(U, Q, b / y, c / p, rate, y / p)
 
     def zeros(self) -> list[complex]:

@@ -28,8 +28,9 @@ from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
+from synth.plant.double_double import solve_closely, with_imaginary
 from synth.plant.generalized import Plant
+from synth.plant.units import nearest_power
 
 # number of tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
 ZOOMS = 6
@@ -76,10 +77,6 @@ def _smaller_square(T: Array) -> Array:
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the precision, and an estimate of the error.
 
-    The residual of the linear system is computed with twice the precision, and the solution is corrected until it converges.
-    Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned
-    that a solution in floats has no correct digit.
-
     Args:
         system: system from w to z, including its low-order digits `beyond`.
         omega: angular frequencies [rad/s], shape (F,).
@@ -87,34 +84,12 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     Returns:
         T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
     """
-    (n, r), Bw, A, C = system.Bw.shape, system.Bw, system.A, system.C
-    beyond = np.zeros((n + len(C), n)) if system.beyond is None else system.beyond
-    A_low, C_low = beyond[:n], beyond[n:]
-    turned = omega[:, None, None]
-    shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
-    # The columns of the real parts come before the columns of the imaginary parts
-    high, low = np.zeros((2, len(omega), n, 2 * r))
-    T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
-    for _ in range(MOST_TURNS):
-        by, into = exact_product(turned, _times_j(high)), product(A, high)
-        change, lost = exact_sum(into[0], -by[0])
-        residual, rest = exact_sum(right, change)
-        residual += rest + lost + into[1] - by[1] + A @ low + A_low @ high - turned * _times_j(low)
-        step = np.linalg.solve(shifted, residual[..., :r] + 1j * residual[..., r:])
-        high, lost = exact_sum(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
-        high, low = exact_sum(high, low + lost)
-        out, lost = product(C, high)
-        out = out + lost + C @ low + C_low @ high
-        before, T = T, out[..., :r] + 1j * out[..., r:] + system.Dw
-        moved = np.abs(T - before).max(axis=(1, 2), initial=0.0)
-        if np.all(moved <= CONVERGED_CHANGE * np.abs(T).max(axis=(1, 2), initial=0.0)):
-            break
-    return T, moved
-
-
-def _times_j(x: Array) -> Array:
-    r = x.shape[-1] // 2
-    return np.concatenate([-x[..., r:], x[..., :r]], axis=-1)
+    n, Bw = len(system.A), system.Bw
+    beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
+    turned = omega[:, None, None] * np.eye(n)
+    high, low = with_imaginary(np.broadcast_to(-system.A, turned.shape), turned), with_imaginary(-beyond[:n], np.zeros((n, n)))
+    T, moved = solve_closely(high, low, np.vstack([Bw, 0 * Bw]), system.C, beyond[n:])
+    return T + system.Dw, moved
 
 
 class Gain:
@@ -450,9 +425,9 @@ def level_crossings(system: Plant, level: float) -> Array:
         # The pencil keeps w and z as unknowns. Eliminating w and z would be impossible if the level equals the gain at
         # infinity. The errors of the eigenvalues grow with the largest entry. The units of time, states and z are therefore
         # powers of two that give the entries similar sizes.
-        rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
+        rate, of_z = nearest_power(float(np.linalg.norm(A, 2))), nearest_power(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
-        of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
+        of_states = nearest_power(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
         Bw, C = Bw / of_states, C * of_states
         pencil = np.zeros((2 * n + r + d, 2 * n + r + d))
         pencil[:n, :n], pencil[n : 2 * n, n : 2 * n] = A, -A.T
@@ -467,11 +442,6 @@ def level_crossings(system: Plant, level: float) -> Array:
     proposed = np.imag(eigenvalues)
     # The eigenvalues are conjugate pairs, so the positive imaginary parts are sufficient
     return np.append(0.0, np.sort(proposed[proposed > 0]))
-
-
-def _power_of_two(size: float) -> float:
-    """Returns the power of two that is nearest to a size; 1 if the size is 0 or not finite."""
-    return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
 
 
 def sweep_norm(system: Plant) -> tuple[float, float]:

@@ -217,24 +217,10 @@ def definiteness(M: Array) -> Definiteness:
 
     M must be exactly symmetric.
     """
-    k = len(M)
-    diagonal = np.diagonal(M)
-    # this condition is also false if the value is NaN
-    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):
+    scaled, shift, proved = _definite(M[None], UNIT * np.abs(M)[None])
+    if scaled is None:
         return Definiteness(np.nan, np.nan, False)
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # the scales are powers of two, so that scaling causes no rounding error
-    M = M * scale * scale[:, None]
-    # Sum of the rounding errors of the entries and of the decomposition. The sum is doubled for two reasons: libraries multiply
-    # by reciprocals instead of dividing, and the sum itself is rounded.
-    entries = UNIT * float(np.abs(M).sum(axis=1).max(initial=0.0))
-    decomposition = (k + 5) * UNIT * float(np.trace(M))
-    shift = 2 * (entries + decomposition) + TINY
-    try:
-        factor = np.linalg.cholesky(M - shift * np.eye(k))
-    except np.linalg.LinAlgError:
-        factor = np.full_like(M, np.nan)
-    smallest = float(np.linalg.eigvalsh(M)[0]) if k else np.inf
-    return Definiteness(smallest, shift, bool(np.all(np.isfinite(factor))))
+    return Definiteness(float(np.linalg.eigvalsh(scaled[0])[0]) if len(M) else np.inf, float(shift[0]), proved)
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
@@ -244,17 +230,24 @@ def definite_beyond(M: Array, lost: Array) -> bool:
         M: V matrices, shape (V, k, k); only their symmetric parts are used.
         lost: largest error of each entry, shape (V, k, k).
     """
-    M = (M + M.swapaxes(-1, -2)) / 2
+    return _definite((M + M.swapaxes(-1, -2)) / 2, lost)[2]
+
+
+def _definite(M: Array, lost: Array) -> tuple[Array | None, Array, bool]:
+    """Returns the scaled matrices, the sums of their rounding errors, and True if all of them are proved to be definite."""
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)
     # this condition is also false if the value is NaN
-    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):
-        return False
+    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):
+        return None, diagonal, False
     scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # the scales are powers of two, so that scaling causes no rounding error
     across = scale[..., :, None] * scale[..., None, :]
     M, lost, k = M * across, lost * across, M.shape[-1]
-    shift = 2 * (lost.sum(axis=-1).max(axis=-1) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)) + TINY
+    # Sum of the errors of the entries and of the decomposition. The sum is doubled for two reasons: libraries multiply by
+    # reciprocals instead of dividing, and the sum itself is rounded.
+    errors = lost.sum(axis=-1).max(axis=-1, initial=0.0) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)
+    shift = 2 * errors + TINY
     try:
         factors = np.linalg.cholesky(M - shift[:, None, None] * np.eye(k))
     except np.linalg.LinAlgError:
-        return False
-    return bool(np.all(np.isfinite(factors)))
+        return M, shift, False
+    return M, shift, bool(np.all(np.isfinite(factors)))

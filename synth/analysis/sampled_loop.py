@@ -313,53 +313,12 @@ class SampledLoop(CheckedFields):
             assert len(total) == n
         return total
 
-    def register(self) -> tuple[Array, Array]:
-        """Returns two matrices that act on all N states. The delayed forces are sorted by the time at which they act.
-
-        Returns:
-            The matrix that gives [x; i held inputs] at the sample, shape (n + i, N), and the matrix that gives the next states
-            except x, shape (N - n, N).
-        """
-        n, (m, known) = len(self.plant.A), self.K.shape
-        delayed, late = self.largest_delay * m, self.largest_delay
-        N = known + delayed
-        gain = np.hstack([self.K, np.zeros((m, delayed))])
-        forces = [
-            gain if not piece.delay_samples else np.eye(m, N, known + (late - piece.delay_samples) * m) for piece in self.pieces
-        ]
-        memory = np.hstack([self.A_register, np.zeros((len(self.A_register), delayed))]) + self.B_register @ forces[-1]
-        shifted = np.eye(max(delayed - m, 0), N, known + m)
-        return np.vstack([np.eye(n, N), *forces]), np.vstack([memory, shifted, gain] if late else [memory])
-
-    @property
-    def noise_gain(self) -> tuple[Array, Array]:
-        """Matrices from the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j)."""
-        m, k = len(self.K), len(self.A_register)
-        noise = np.zeros((m + k, 0)) if self.noise is None else self.noise
-        return noise[:m], noise[m:]
-
-    def noise_to_inputs(self) -> tuple[Array, Array]:
-        """Returns matrices as in `register`, but from the noise instead of the states, shapes (n + i, j) and (N - n, j)."""
-        computed, kept = self.noise_gain
-        forces = [np.zeros_like(computed) if piece.delay_samples else computed for piece in self.pieces]
-        memory = kept + self.B_register @ forces[-1]
-        waiting = np.zeros((max(self.largest_delay - 1, 0) * len(computed), computed.shape[1]))
-        start = np.vstack([np.zeros((len(self.plant.A), computed.shape[1])), *forces])
-        return start, np.vstack([memory, waiting, computed] if self.largest_delay else [memory])
-
-    def entering_at(self, angles: Array) -> tuple[Array, Array]:
-        """Returns the matrices from the noise at zeta = exp(j angle) to [x; held inputs], and to the next controller states.
-
-        Args:
-            angles: angles on the unit circle [rad], shape (F,).
-
-        Returns:
-            The two matrices for each angle, complex, shapes (F, n + i, j) and (F, k, j).
-        """
-        (computed, kept), turned = self.noise_gain, np.exp(1j * angles)
-        forces = [computed * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
-        still = np.zeros((len(angles), len(self.plant.A), computed.shape[1]))
-        return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
+    @cached_property
+    def with_noise(self) -> tuple[Array, Array]:
+        """`K` and `A_register` with a column for each noise, shapes (m, n + k + j) and (k, n + k + j)."""
+        m = len(self.K)
+        noise = np.zeros((m + len(self.A_register), 0)) if self.noise is None else self.noise
+        return np.hstack([self.K, noise[:m]]), np.hstack([self.A_register, noise[m:]])
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
         """Returns the transition matrix of the loop minus the identity, and the matrix from its states to [x; held inputs].
@@ -368,12 +327,20 @@ class SampledLoop(CheckedFields):
             increment: transition matrix of [x; held inputs] over one period minus the identity, shape (n + i, n + i).
 
         Returns:
-            The transition matrix minus the identity, shape (N, N), and the matrix from the N states to [x; held inputs], shape
-            (n + i, N).
+            The transition matrix minus the identity, shape (N, N + j), and the matrix from the N states to [x; held inputs],
+            shape (n + i, N + j). The last j columns belong to the noise. Delayed forces are sorted by the time at which they
+            act.
         """
-        start, rest = self.register()
-        n, N = len(self.plant.A), start.shape[1]
-        return np.vstack([increment[:n] @ start, rest - np.eye(N - n, N, n)]), start
+        n, (m, known), late = len(self.plant.A), self.K.shape, self.largest_delay
+        gain, memory = (np.insert(matrix, [known] * late * m, 0.0, axis=1) for matrix in self.with_noise)
+        columns = gain.shape[1]
+        forces = [
+            np.eye(m, columns, known + (late - one.delay_samples) * m) if one.delay_samples else gain for one in self.pieces
+        ]
+        start = np.vstack([np.eye(n, columns), *forces])
+        shifted = np.eye(max(late - 1, 0) * m, columns, known + m)
+        rest = np.vstack([memory + self.B_register @ forces[-1], shifted, *[gain] * (late > 0)])
+        return np.vstack([increment[:n] @ start, rest - np.eye(len(rest), columns, n)]), start
 
     def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
         """Returns the loop at the points zeta = exp(j angle) of the unit circle.
@@ -385,16 +352,17 @@ class SampledLoop(CheckedFields):
             angles: angles on the unit circle [rad], shape (F,).
 
         Returns:
-            zeta I minus the transition matrix of p, shape (F, n + k, n + k), and the matrix from p to [x; held inputs], shape
-            (F, n + i, n + k).
+            zeta I minus the transition matrix of p, shape (F, n + k, n + k + j), and the matrix from p to [x; held inputs],
+            shape (F, n + i, n + k + j). The last j columns belong to the noise.
         """
-        n, known, turned = len(self.plant.A), self.K.shape[1], np.exp(1j * angles)
-        forces = [self.K * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
-        start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
-        matrix = np.empty((len(angles), known, known), dtype=complex)
+        n, known, turned, (gain, memory) = len(self.plant.A), self.K.shape[1], np.exp(1j * angles), self.with_noise
+        columns = gain.shape[1]
+        forces = [gain * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
+        start = np.concatenate([np.broadcast_to(np.eye(n, columns), (len(angles), n, columns)), *forces], axis=1)
+        matrix = np.empty((len(angles), known, columns), dtype=complex)
         step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # the value zeta - 1, computed without cancellation
-        matrix[:, :n] = step[:, None, None] * np.eye(n, known) - increment[:n] @ start
-        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.A_register - self.B_register @ forces[-1]
+        matrix[:, :n] = step[:, None, None] * np.eye(n, columns) - increment[:n] @ start
+        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, columns, n) - memory - self.B_register @ forces[-1]
         return matrix, start
 
 

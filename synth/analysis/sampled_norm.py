@@ -79,15 +79,25 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     direct = np.vstack(padded)
     if alone:
         return float(np.linalg.norm(direct, 2))
-    matrix, start = loop.at_angles(free - np.eye(width), np.array([angle]))
-    driven = np.vstack([forced[:n], np.zeros((matrix.shape[1] - n, columns))])
-    whole = np.vstack(seen_free) @ (start[0] @ np.linalg.solve(matrix[0], driven)) + direct
-    if loop.noise is not None:
-        (entered,), (kept,) = loop.entering_at(np.array([angle]))
-        moved = np.vstack([(free - np.eye(width))[:n] @ entered, kept])
-        heard = np.vstack(seen_free) @ (start[0] @ np.linalg.solve(matrix[0], moved) + entered)
-        whole = np.hstack([whole, heard])
+    reached = _reached(*loop.at_angles(free - np.eye(width), np.array([angle])), forced[:n], 1.0)[0]
+    whole = np.vstack(seen_free) @ reached + np.pad(direct, ((0, 0), (0, reached.shape[1] - columns)))
     return float(largest_singular_values(whole[None])[0])
+
+
+def _reached(matrix: Array, start: Array, into: Array, level: float) -> Array:
+    """Returns [x; held inputs] at the samples for disturbances and noise, complex, shape (F, n + i, c + j).
+
+    Args:
+        matrix, start: loop at F angles, see `SampledLoop.at_angles`.
+        into: effect of the disturbances on x over one period, shape (n, c).
+        level: level by which the noise is divided.
+    """
+    (F, known, columns), (n, c) = matrix.shape, into.shape
+    driven = np.zeros((F, known, c + columns - known), dtype=complex)
+    driven[:, :n, :c], driven[:, :, c:] = into, -matrix[:, :, known:] / level
+    reached = start[:, :, :known] @ np.linalg.solve(matrix[:, :, :known], driven)
+    reached[:, :, c:] += start[:, :, known:] / level
+    return reached
 
 
 def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
@@ -174,7 +184,7 @@ def stable(loop: SampledLoop) -> bool:
 def _poles(loop: SampledLoop) -> Array | None:
     """Returns the poles of the transition matrix from one sample to the next; None if the loop is not stable."""
     change, _ = loop.closed(loop.increment)
-    transition = np.eye(len(change)) + change
+    transition = np.eye(len(change)) + change[:, : len(change)]
     return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
 
 
@@ -189,27 +199,18 @@ class _Level:
         """Returns the largest singular value from w_d to z_d at each of F angles on the unit circle [rad], shape (F,)."""
         if len(angles) > AT_ONCE:
             return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
-        matrix, start = self.loop.at_angles(self.plant.increment, angles)
-        driven = np.zeros((len(angles), matrix.shape[1], self.Bd.shape[1]), dtype=complex)
-        driven[:, : len(self.Bd)] = self.Bd
-        if self.loop.noise is None:
-            return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
-        entered, kept = (part / self.level for part in self.loop.entering_at(angles))
-        driven = np.concatenate([driven, np.concatenate([self.plant.increment[: len(self.Bd)] @ entered, kept], axis=1)], axis=2)
-        reached = start @ np.linalg.solve(matrix, driven)
-        reached[:, :, self.Bd.shape[1] :] += entered
+        reached = _reached(*self.loop.at_angles(self.plant.increment, angles), self.Bd, self.level)
         return largest_singular_values(self.Cd @ reached)
 
     def crossings(self) -> Array:
         """Returns angles [rad] in ascending order from 0, including all angles at which a singular value is 1."""
         change, start = self.loop.closed(self.plant.increment)
         T, N = self.loop.period, len(change)
-        inverse = np.linalg.inv(2 * np.eye(N) + change)
-        A, scale = balance(2 / T * change @ inverse)
-        entered, kept = (part / self.level for part in self.loop.noise_to_inputs())
-        moved = np.vstack([self.plant.increment[: len(self.Bd)] @ entered, kept])
-        B, C = np.hstack([inverse[:, : len(self.Bd)] @ self.Bd, inverse @ moved]), self.Cd @ start
-        direct = np.hstack([np.zeros((len(C), self.Bd.shape[1])), self.Cd @ entered])
+        own, of_noise = change[:, :N], change[:, N:] / self.level
+        inverse = np.linalg.inv(2 * np.eye(N) + own)
+        A, scale = balance(2 / T * own @ inverse)
+        B, C = np.hstack([inverse[:, : len(self.Bd)] @ self.Bd, inverse @ of_noise]), self.Cd @ start[:, :N]
+        direct = np.hstack([np.zeros((len(C), self.Bd.shape[1])), self.Cd @ start[:, N:] / self.level])
         into, out = 2 / math.sqrt(T) * B / scale[:, None], 2 / math.sqrt(T) * C @ inverse * scale
         return 2 * np.arctan(T / 2 * level_crossings(Plant.without_inputs(A, into, out, direct - C @ B), 1.0))
 

@@ -226,14 +226,14 @@ def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
         rows = np.asarray(linalg.matrix_balance(M, permute=False, separate=True)[1][0])
         U, Q, b, c = (part / rows[:, None] for part in (U, Q, b, c))
         balanced = M / rows[:, None] * rows
-        rate = scale_near(float(np.linalg.norm(balanced)))
+        rate = nearest_power(float(np.linalg.norm(balanced)))
         edge = AXIS * float(np.abs(np.linalg.eigvals(balanced)).max()) / rate
         N, vectors, count = linalg.schur(balanced.T / rate, sort=lambda real, imaginary: real > edge)  # pyright: ignore[reportAssignmentType]
     except (OverflowError, ValueError, np.linalg.LinAlgError):
         return None
     if count == len(U):
         return None
-    columns = np.array([scale_near(float(size)) for size in np.linalg.norm(np.vstack([U, Q / rate]), axis=0)])
+    columns = np.array([nearest_power(float(size)) for size in np.linalg.norm(np.vstack([U, Q / rate]), axis=0)])
     U, Q = U / columns, Q / rate / columns
     enclosed = _enclosed_subspace(U, Q, vectors[:, :count], N[:count, :count])
     if enclosed is None:
@@ -290,8 +290,3 @@ def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Arr
 def _unit(a: int) -> float:
     """Returns a bound on the relative rounding error of sums of `a` products."""
     return SAFE * (2 * a + 4) * float(np.finfo(float).eps)
-
-
-def scale_near(size: float) -> float:
-    """Returns the power of two that is nearest to a size; 1 if the size is 0."""
-    return nearest_power(size) if size > 0 else 1.0

@@ -21,7 +21,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
+from synth.plant.double_double import exact_product, exact_sum, solve_closely, with_imaginary
 from synth.plant.generalized import Plant
 
 # Smallest allowed singular value of the balanced A + I, relative to the largest singular value. This limits the number of
@@ -149,7 +149,7 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
     Raises:
         LinAlgError: the system has a pole at this point, up to rounding.
     """
-    n, r = system.Bw.shape
+    n = len(system.A)
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
     A, eye = system.A, np.eye(n)
     minus, plus = exact_sum(eye, -A), exact_sum(eye, A)
@@ -162,21 +162,6 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
         across = exact_product(np.full((n, n), 1 / t), minus[0])
         real, turned = plus, (-across[0], -across[1] - minus[1] / t)
         right = np.vstack([-system.Bw, -system.Bw / t])
-    high, low = (np.block([[a, -b], [b, a]]) for a, b in zip(real, turned, strict=True))
-    solution, rest = np.zeros((2, 2 * n, r))
-    T, moved = np.zeros((len(system.C), r), complex), np.inf
-    for _ in range(MOST_TURNS):
-        into, lost = product(high, solution)
-        change, off = exact_sum(right, -into)
-        step = np.linalg.solve(high, change + (off - lost - high @ rest - low @ solution))
-        solution, off = exact_sum(solution, step)
-        solution, rest = exact_sum(solution, rest + off)
-        parts = []
-        for x, least in zip(np.split(solution, 2), np.split(rest, 2), strict=True):
-            out, lost = product(system.C, x)
-            parts.append(out + (lost + system.C @ least + beyond[n:] @ x))
-        before, T = T, parts[0] + 1j * parts[1] + system.Dw
-        moved = float(np.abs(T - before).max(initial=0.0))
-        if moved <= CONVERGED_CHANGE * np.abs(T).max(initial=0.0):
-            break
-    return T, moved
+    high, low = map(with_imaginary, real, turned)
+    T, moved = solve_closely(high, low, right, system.C, beyond[n:])
+    return T + system.Dw, float(moved)

@@ -207,6 +207,8 @@ class Plant:
 
         A gain affects only the stability of this part.
         """
+        if not self.weights:
+            return self
         own = slice(len(self.A) - self.weights)
         parts = {"A": self.A[own, own], "B": self.B[own], "Bw": self.Bw[own], "C": self.C[:, own], "Cy": self.Cy[:, own]}
         return replace(self, weights=0, **parts)

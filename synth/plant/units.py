@@ -201,14 +201,7 @@ def speed(plant: Plant) -> tuple[float, bool]:
     If all poles are at 0, the speed is the plant's rate (see `own_units`), and the second value is False. Poles of weighting
     filters do not count. For a discrete plant, the speed of a mode is its change per sample divided by dt.
     """
-    plant = plant.differences
-    n = len(plant.A) - plant.weights
-    if plant.weights:
-        return _speed(Plant(plant.A[:n, :n], plant.B[:n], plant.Bw[:n], plant.C[:, :n], plant.D, plant.Dw))
-    return _speed(plant)
-
-
-def _speed(plant: Plant) -> tuple[float, bool]:
+    plant = plant.differences.without_weighting
     A = plant.A
     # The sum of the squared poles is compared with the sum of the absolute terms. Both sums are independent of the units.
     if abs(np.sum(A * A.T)) <= CANCELLED_SUM * np.sum(np.abs(A * A.T)):
@@ -232,8 +225,8 @@ def _in_units(plant: Plant, states: Array, inputs: Array) -> Plant:
 
 
 def nearest_power(size: float) -> float:
-    """Returns the power of two that is nearest to a size."""
-    return float(np.exp2(np.round(np.log2(size))))
+    """Returns the power of two that is nearest to a size; 1 if the size is 0 or not finite."""
+    return float(np.exp2(np.round(np.log2(size)))) if 0 < size < np.inf else 1.0
 
 
 def size(matrix: Array) -> float:

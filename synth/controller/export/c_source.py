@@ -3,7 +3,9 @@
 Fixed-point code uses only integers. Sums have 64 bits, and every result is clipped so that it cannot overflow.
 """
 
+import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from textwrap import indent
 
 import numpy as np
@@ -34,94 +36,7 @@ SEMI_ACTIVE = {
 }
 THIRD = ("add", "pdd", "skyhook_add")
 
-VALID = """/* Copies a finite value. Returns 1, and copies nothing, if the value is infinite or not a number. */
-static int PREFIX_fault(NUMBER value, NUMBER *copy)
-{
-    int fault = 1;
-
-    if ((value < MOST) && (-value < MOST))
-    {
-        *copy = value;
-        fault = 0;
-    }
-    return fault;
-}
-"""
-CLIP_FUNCTION = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER high)
-{
-    NUMBER result = value;
-
-    if (value < low)
-    {
-        result = low;
-    }
-    else if (value > high)
-    {
-        result = high;
-    }
-    else
-    {
-        /* the value is unchanged */
-    }
-    return result;
-}
-"""
-QUANTISE_FUNCTION = """/* Rounds to the nearest step, ties to even. A value too large to have a fraction is a step already. */
-static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
-{
-    NUMBER count = value / step;
-
-    if ((count >= ZERO) && (count < LARGE))
-    {
-        volatile NUMBER sum = count + LARGE;
-        count = sum - LARGE;
-    }
-    else if ((count < ZERO) && (count > -LARGE))
-    {
-        volatile NUMBER sum = count - LARGE;
-        count = sum + LARGE;
-    }
-    else
-    {
-        /* the count is unchanged */
-    }
-    return step * count;
-}
-"""
-SUM = """/* Adds the products of a row and a column, from the first entry to the last. */
-static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, int count)
-{
-    TOTAL total = start;
-    int i;
-
-    for (i = 0; i < count; i++)
-    {
-        total = total + (PRODUCT);
-    }
-    return total;
-}
-"""
-ROUND_FUNCTION = """/* Divides a sum by 2^shift, rounds to the nearest integer (ties away from 0), and clips to +-most. */
-static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
-{
-    const int64_t half = (shift > 0) ? ((int64_t)1 << (shift - 1)) : 0;
-    int64_t result = (total >= 0) ? ((total + half) >> shift) : -((half - total) >> shift);
-
-    if (result > most)
-    {
-        result = most;
-    }
-    else if (result < -most)
-    {
-        result = -most;
-    }
-    else
-    {
-        /* the result is unchanged */
-    }
-    return (NUMBER)result;
-}
-"""
+HERE = Path(__file__).parent / "c"  # texts in C, in which words in capitals are replaced
 
 
 def literal(numbers: str, value: float) -> str:
@@ -228,14 +143,13 @@ class CSource:
         """Returns the text of NAME.c."""
         law, floating = self.law, self.fixed is None
         parts = {
-            VALID: floating,
-            CLIP_FUNCTION: floating and (law.limit is not None or law.change is not None or bool(law.dampers)),
-            QUANTISE_FUNCTION: floating and bool(np.any(law.resolution)),
-            SUM: not law.semi_active,
-            ROUND_FUNCTION: not floating,
+            "fault.c": floating,
+            "clipped.c": floating and (law.limit is not None or law.change is not None or bool(law.dampers)),
+            "quantised.c": floating and bool(np.any(law.resolution)),
+            "sum.c": not law.semi_active,
+            "rounded.c": not floating,
         }
         words = {
-            "PREFIX": self.p,
             "NUMBER": self.ctype,
             "TOTAL": self.total,
             "PRODUCT": "row[i] * column[i]" if floating else "(int64_t)row[i] * (int64_t)column[i]",
@@ -243,10 +157,13 @@ class CSource:
             "LARGE": self.number(NEAREST.get(law.numbers, 0)),
             "MOST": self.number(LARGEST.get(law.numbers, 0)),
         }
-        text = "\n".join(part for part, needed in parts.items() if needed)
-        for word, own in words.items():
-            text = text.replace(word, own)
+        text = "\n".join(self.template(name, **words) for name, needed in parts.items() if needed)
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
+
+    def template(self, name: str, **words: str) -> str:
+        """Returns a text of the folder `c` in which `PREFIX` is replaced by the name of the law, and other words as given."""
+        own = {"PREFIX": self.p, **words}
+        return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))
 
     def _init(self) -> str:
         law, p, lines = self.law, self.p, list[str]()
@@ -392,61 +309,13 @@ class CSource:
 
     def main(self) -> str:
         """Returns the text of test/main.c, which compares the code with test/vectors.csv."""
-        law, p = self.law, self.p
+        law = self.law
         read = {"float": "strtof(at, &at)", "double": "strtod(at, &at)"}.get(law.numbers, f"({self.ctype})strtol(at, &at, 10)")
         ins = "\n".join(f"        in.{name} = {read}; at++;" for name in law.inputs)
         outs = "\n".join(f"        differ += (out.{name} != {read}) ? 1L : 0L; at++;" for name in law.outputs)
         longest = 40 * (len(law.inputs) + len(law.outputs)) + 200
-        return f"""/* Back-to-back test with vectors.csv: every output must equal the file bit for bit. */
-#include <stdio.h>
-#include <stdlib.h>
-#include "../{p}.h"
-
-int main(int argc, char **argv)
-{{
-    static char line[{longest}];
-    {p}_state state;
-    {p}_in in;
-    {p}_out out;
-    long samples = 0L;
-    long differ = 0L;
-    FILE *file = fopen((argc > 1) ? argv[1] : "vectors.csv", "r");
-
-    if ((file == NULL) || (fgets(line, (int)sizeof line, file) == NULL))
-    {{
-        (void)fprintf(stderr, "vectors.csv cannot be read; give its path\\n");
-        return 2;
-    }}
-    {p}_init(&state);
-    while (fgets(line, (int)sizeof line, file) != NULL)
-    {{
-        char *at = line;
-
-{ins}
-        {p}_step(&state, &in, &out);
-{outs}
-        samples++;
-    }}
-    (void)fclose(file);
-    (void)printf("%ld samples, %ld outputs differ\\n", samples, differ);
-    return (differ == 0L) ? 0 : 1;
-}}
-"""
+        return self.template("main.c", LONGEST=str(longest), INPUTS=ins, OUTPUTS=outs)
 
     def cmake(self) -> str:
         """Returns the text of CMakeLists.txt, which builds a library and its test."""
-        p = self.p
-        return f"""cmake_minimum_required(VERSION 3.10)
-project({p} C)
-set(CMAKE_C_STANDARD 99)
-set(CMAKE_C_EXTENSIONS OFF)
-if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")
-  add_compile_options(-ffp-contract=off) # a fused multiply-add rounds once where two operations round twice
-endif()
-add_library({p} {p}.c)
-target_include_directories({p} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-enable_testing()
-add_executable({p}_test test/main.c)
-target_link_libraries({p}_test {p})
-add_test(NAME {p} COMMAND {p}_test ${{CMAKE_CURRENT_SOURCE_DIR}}/test/vectors.csv)
-"""
+        return self.template("CMakeLists.txt")

@@ -90,7 +90,7 @@ def _digits(law: ExportedLaw, value: Any) -> str:
 
 
 def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certificates: Mapping[str, str]) -> str:
-    p, how, tick = law.name, vehicle.implementation, "`"
+    how, tick = vehicle.implementation, "`"
     source = CSource(law, "")
     about = zip(law.inputs, source.in_units, law.meanings, strict=True)
     rows = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit, meaning in about)
@@ -111,44 +111,21 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certifica
         f"It keeps {law.states} state{'s' * (law.states > 1)}, zero at the start." if law.states else "It keeps no states.",
     ]
     studied = "".join(f"\n{text[0].upper()}{text[1:]}.\n" for text in study_notes(vehicle, driver))
-    return f"""# Controller {driver.name} as C99
-
-{driver.text}
-{studied}
-```c
-{p}_state state;
-{p}_in in;
-{p}_out out;
-
-{p}_init(&state);               /* once */
-{p}_step(&state, &in, &out);    /* {period} */
-```
-
-| input | unit | meaning |
-|---|---|---|
-{rows}
-| output | unit | meaning |
-|---|---|---|
-{outs}
-All signals are measured from static equilibrium; upwards is positive. {" ".join(filter(None, does))}
-
-## What is certified
-
-{_claims(vehicle, driver, law)}{_lmi_certificates(certificates)}
-
-## The code
-
-- Numbers are `{law.numbers}`. Sums go from the first column to the last. There is no heap, no recursion and no library.
-{_whole_numbers(law)}{_faults(law)}- Compile with `{FLAGS}`.
-- A compiler that fuses multiplication and addition of floating-point numbers rounds differently, so that the last bits differ.
-- `test/main.c` compares the code with `test/vectors.csv` back to back: every output must be equal bit for bit.
-
-```sh
-cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
-```
-
-- `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows whether a file changed.
-"""
+    words = {
+        "CONTROLLER": driver.name,
+        "LAW": driver.text,
+        "STUDIED": studied,
+        "PERIOD": period,
+        "INPUTS": rows,
+        "OUTPUTS": outs,
+        "DOES": " ".join(filter(None, does)),
+        "CLAIMS": _claims(vehicle, driver, law) + _lmi_certificates(certificates),
+        "NUMBERS": law.numbers,
+        "FAULTS": _whole_numbers(law) + _faults(law),
+        "FLAGS": FLAGS,
+        "CERTIFICATE": CERTIFICATE,
+    }
+    return source.template("README.template", **words)
 
 
 def _lmi_certificates(certificates: Mapping[str, str]) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from models.common.checks import (
 )
 from models.common.errors import InputError
 from synth.analysis.band_norm import check_band
+from synth.analysis.uncertainty_box import Box
 from synth.design.descent.landscape import EVERYWHERE, Band, Landscape
 from synth.design.descent.terms import NormTerm, Term
 from synth.design.multi_objective.band_norm import BandLandscape
@@ -187,17 +187,10 @@ class MultiObjectiveProblem(CheckedFields):
 
     def corners(self, most: int) -> list[GainErrors]:
         """Returns the vertices of the box of gain errors; an empty list if there are more than `most`."""
-        m, q = self.shape
         sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
-        free = np.flatnonzero(sides)
-        if not len(free) or 2 ** len(free) > most:
+        if not 0 < np.count_nonzero(sides) <= np.log2(most):
             return []
-        vertices = []
-        for signs in product((-1.0, 1.0), repeat=len(free)):
-            error = np.zeros(m + q)
-            error[free] = signs * sides[free]
-            vertices.append(GainErrors(error[:q], error[q:]))
-        return vertices
+        return [GainErrors(*np.split(errors, [self.shape[1]])) for errors in Box(-sides, sides).vertices]
 
     def alone(self, i: int) -> "MultiObjectiveProblem":
         """Returns the same problem for a single member."""

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 from models.common.arrays import Array
+from synth.analysis.uncertainty_box import Box
 from synth.design.descent.landscape import Band
 from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
@@ -127,10 +128,8 @@ class WorstCaseErrors:
 
     def _vertices(self) -> Array:
         """Returns all vertices of the box, as multiples of its half-widths, shape (2^k, q + m)."""
-        count = len(self.free)
-        vertices = np.zeros((2**count, len(self.sides)))
-        vertices[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
-        return vertices
+        ends = np.sign(self.sides)
+        return Box(-ends, ends).vertices
 
     def _slowest(self, i: int, K: Array, signs: Array) -> Array:
         """Returns the largest real parts of poles, shape (N,), for errors in units of the box, shape (N, q + m)."""

@@ -8,7 +8,7 @@ either unstable, or its norm gives the lower bound.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -117,8 +117,8 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     if np.linalg.cond(np.eye(k) - E.D @ q[:, -k:]) > 1e12:
         return None
     # The errors are a law from the last outputs, as measurements, to the last inputs.
-    outputs = {"Cy": M.C[-k:], "Dyu": q[:, -k:], "Dyw": q[:, rows]}
-    plant = Plant(M.A, M.Bw[:, -k:], M.Bw[:, rows], M.C[rows], M.Dw[rows, -k:], M.Dw[rows, rows], **outputs)
+    plant = Plant(M.A, M.Bw[:, -k:], M.Bw[:, rows], M.C[rows], M.Dw[rows, -k:], M.Dw[rows, rows])
+    plant = replace(plant, Cy=M.C[-k:], Dyu=q[:, -k:], Dyw=q[:, rows])
     return closed_by(plant, LinearLaw(E.A, E.B, E.C, E.D))
 
 
