@@ -152,6 +152,6 @@ def _rating(task: Task, one: Contender, responses: Sequence[Response], first: in
 
     stroke = max(most(name, *ends) for name, ends in task.strokes.items())
     force = max(most(name, limit, limit) for name, limit in task.forces.items()) if one.pushes else 0.0
-    lifted = max(score_of(one.vehicle, one.name, run).values.get("off_ground") or 0.0 for run in runs)
     margins = margins_of(task, one.controller) if one.pushes and is_linear(one.controller, one.vehicle) else (MOST_GAIN, 2.0)
-    return Rating(score_over_runs(one.vehicle, one.name, metrics).values, Usage(stroke, force, *margins, lifted))
+    values = score_over_runs(one.vehicle, one.name, metrics).values
+    return Rating(values, Usage(stroke, force, *margins, values.get("off_ground") or 0.0))
