@@ -27,7 +27,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.drive.regime import REGIME_ENDS
 from sim.report.designs import gain_table
 from sim.studies.validity.report import NOTHING
-from tests.support.commands import ROOT, environment
+from tests.support.commands import ROOT, attacks, environment
 from tests.support.reading import number
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
@@ -428,7 +428,7 @@ def test_gains_are_matrices(designer):
     assert gain_table(vehicle, designer.design("passive")) is None
 
 
-@pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense", "svg"])
+@pytest.mark.parametrize("backend", ["nonsense", "svg", *attacks(["module://matplotlib_inline.backend_inline"])])
 def test_a_backend_of_another_environment(backend, tmp_path):
     """A picture is drawn whatever MPLBACKEND names; a backend that exists stays that of the caller's own figures."""
     code = "import pathlib; from models.document.figure import *; from models.document.picture import write_picture\n"

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from models.common.children import Child, EndedError, kill_children
-from tests.support.commands import environment
+from tests.support.commands import attacks, environment, in_the_suite
 
 
 def answers(messages: Iterator[str]) -> Iterator[object]:
@@ -35,7 +35,7 @@ def test_answers_come_in_order():
     [
         ("raise ValueError('of the child')", ValueError, "of the child"),
         ("time.sleep(1000)", TimeoutError, "^$"),
-        ("while True: pass", TimeoutError, "^$"),
+        *attacks([("while True: pass", TimeoutError, "^$")]),  # as a loop in a law, in test_python_laws.py
         ("os._exit(3)", EndedError, "exit code 3"),
         pytest.param(
             "os.kill(os.getpid(), 11)", EndedError, "signal SIGSEGV", marks=pytest.mark.skipif(os.name == "nt", reason="POSIX")
@@ -83,7 +83,7 @@ os.kill(os.getpid(), int(sys.argv[1])) if sys.argv[1:] else None
 """
 
 
-@pytest.mark.parametrize("number", [[], ["9"], ["15"]])
+@pytest.mark.parametrize("number", in_the_suite([[], ["9"]], [[], ["9"], ["15"]]))
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_child_ends_with_its_parent(tmp_path, number):
     """A script without a guard of its main part starts a child, and no end of the script leaves the child behind."""

@@ -91,14 +91,14 @@ def test_it_drives_as_its_law_does(version, tmp_path):
     assert main(["--vehicle", str(tmp_path / "car.toml"), *export]) == 0
     (tmp_path / "both.toml").write_text(DELAYED + THEIRS.replace(".fmu", ".FMU"))
     vehicle = read_vehicle(str(tmp_path / "both.toml"))
-    ours, theirs = run(vehicle, ["law", "theirs"], Bump(height=0.06), duration=1.0)
+    ours, theirs = run(vehicle, ["law", "theirs"], Bump(height=0.06), duration=0.4)
     assert abs(ours.physics["control_force"]).max() == 500.0
     for name in ("sprung_acceleration", "tyre_deflection", "control_force"):
         scale = ours.physics.scale(name)
         assert abs(ours.physics[name] - theirs.physics[name]).max() < 1e-9 * scale  # rounding of another order of summation
     assert claims(theirs.controller) == "linear analysis does not apply (an FMU)"
     later = parse_vehicle(vehicle.text.replace("delay = 1", "delay = 2.4"), folder=tmp_path)  # 1.4 samples are around the FMU
-    ours, theirs = run(later, ["law", "theirs"], Bump(height=0.06), duration=0.5)
+    ours, theirs = run(later, ["law", "theirs"], Bump(height=0.06), duration=0.2)
     assert abs(ours.physics["control_force"] - theirs.physics["control_force"]).max() < 1e-9 * 500
 
 

@@ -110,13 +110,13 @@ def test_log_and_campaign(tmp_path, capsys):
     """A log proves its run when the drive file is gone, and not with another one; a campaign has the same numbers."""
     written(history(), tmp_path / "drive.csv")
     text = f"rig:file={tmp_path / 'drive.csv'}"
-    command = ["--vehicle", "full_car", "--controller", "passive", "--road", text, "--duration", "0.4"]
+    command = ["--vehicle", "full_car", "--controller", "passive", "--road", text, "--duration", "0.1"]
     assert main([*command, "--logs", str(tmp_path / "logs"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["iri"] == {}
     assert result["road"]["posts"] == " ".join(CORNERS)
     (tmp_path / "campaign.toml").write_text(
-        'vehicles = ["full_car"]\ncontrollers = ["passive"]\nroads = ["rig:file=drive.csv"]\nspeeds = [10.0]\nduration = 0.4\n'
+        'vehicles = ["full_car"]\ncontrollers = ["passive"]\nroads = ["rig:file=drive.csv"]\nspeeds = [10.0]\nduration = 0.1\n'
     )
     assert campaign([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "--workers", "1", "--json"]) == 0
     import pyarrow.parquet as parquet

@@ -68,7 +68,7 @@ def files(tmp_path):
 def test_several_vehicles_share_a_table(files, tmp_path, capsys):
     """Two vehicles with three controllers answer in 24 lines of 80 columns; each has the runs that it has alone, and a log that
     proves them."""
-    options = ["--height", "0.06", "--duration", "0.4", "--timestep", "2.5e-3"]
+    options = ["--height", "0.06", "--duration", "0.2", "--timestep", "2.5e-3"]
     pair = ["--vehicle", files["corner"], "--vehicle", files["van"]]
     some = [part for name in ("passive", "leaky", "firm") for part in ("--controller", name)]
     assert bump.main([*pair, *some, *options, "--logs", str(tmp_path / "logs")]) == 0
@@ -125,7 +125,7 @@ def test_without_a_part(part, lines):
 def test_what_a_part_costs_is_in_the_table(files, tmp_path, capsys):
     """`--without` adds a row below that as built, passive has none, and the log of all runs proves them."""
     options = ["--vehicle", files["corner"], "--controller", "passive", "--controller", "leaky", "--road", "bump:height=0.05"]
-    options += ["--without", "noise", "--without", "lag", "--duration", "0.4", "--timestep", "2.5e-3"]
+    options += ["--without", "noise", "--without", "lag", "--duration", "0.2", "--timestep", "2.5e-3"]
     result = answer(capsys, drive.main, *options, "--logs", str(tmp_path / "logs"))
     rows = [(one["controller"], one.get("without")) for one in result["compared"]["controllers"]]
     assert rows == [("passive", None), ("leaky", None), ("leaky", "noise"), ("leaky", "lag")]

@@ -31,7 +31,7 @@ CARS = {
     "damper": read_vehicle("quarter_car").text + LAW + DAMPER,
     "damper at a ratio": curved_text(more=RATIO + LAW + DAMPER),
 }
-TIME = np.arange(300) * H
+TIME = np.arange(160) * H
 
 
 def over_travel(p):
