@@ -142,26 +142,22 @@ def _variables(model: FmuModel, version: int) -> list[str]:
 
     For FMI 3, the last variable is the time, which FMI 3 requires.
     """
+    groups: tuple[tuple[Sequence[Signal], str, str, str | None, float | None], ...] = (
+        (model.inputs, "input", "continuous", None, 0.0),
+        (model.outputs, "output", "continuous" if model.states else "discrete", "calculated", None),
+        (model.states, "local", "continuous", "exact", 0.0),
+    )
     rows: list[tuple[str, str, Attributes, Attributes]] = []
-    sampled = "continuous" if model.states else "discrete"
-    for one in model.inputs:
-        kind = {"causality": "input", "variability": "continuous"}
-        rows.append((one.name, one.meaning, kind, {"unit": _unit(one), "start": 0.0}))
-    for one in model.outputs:
-        kind = {"causality": "output", "variability": sampled, "initial": "calculated"}
-        rows.append((one.name, one.meaning, kind, {"unit": _unit(one)}))
-    for one in model.states:
-        kind = {"causality": "local", "variability": "continuous", "initial": "exact"}
-        rows.append((one.name, one.meaning, kind, {"unit": _unit(one), "start": 0.0}))
-    first = len(model.inputs) + len(model.outputs)
+    for signals, causality, variability, initial, start in groups:
+        kind = {"causality": causality, "variability": variability, "initial": initial}
+        rows += [(one.name, one.meaning, kind, {"unit": _unit(one), "start": start}) for one in signals]
+    kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
+    # FMI 2 numbers variables with an index from 1; FMI 3 uses the value reference
+    first = len(model.inputs) + len(model.outputs) + (version == 2)
     for i, one in enumerate(model.states):
-        kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
-        # FMI 2 numbers variables with an index from 1; FMI 3 uses the value reference
-        of = first + i + (1 if version == 2 else 0)
-        rows.append((f"der({one.name})", f"derivative of {one.name}", kind, {"unit": _rate(one), "derivative": of}))
+        rows.append((f"der({one.name})", f"derivative of {one.name}", kind, {"unit": _rate(one), "derivative": first + i}))
     if version == 3:
-        time = {"causality": "independent", "variability": "continuous"}
-        rows.append(("time", "time", time, {"unit": "s"}))
+        rows.append(("time", "time", {"causality": "independent", "variability": "continuous"}, {"unit": "s"}))
     lines = []
     for i, (name, meaning, kind, number) in enumerate(rows):
         whole = {"name": name, "valueReference": i, "description": meaning, **kind}
