@@ -379,7 +379,6 @@ def test_interrupted_while_runs_are_driven(van):
 
     first, second = (recommendation(task, stop) for _ in range(2))
     assert first.interrupted
-    assert not any(row.driven for row in first.rows)
     assert {"passive", "skyhook", "LQG", "H-infinity", "best (file)"} <= {row.candidate.name for row in first.rows}
     assert RECORD(first) == RECORD(second)
     assert "the candidates so far" in first.summary.statements[-1].text
