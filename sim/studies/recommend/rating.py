@@ -122,9 +122,8 @@ def drive_candidates(
     roads = [replace(road, seed=seed) for seed in seeds] if isinstance(road, Iso8608) else [road]
     start, duration = 0, min(road.duration + SETTLED, MOST_TIME) if math.isfinite(road.duration) else WINDOW
     if task.random:
-        slowest = [passive_settling_time(task.line)]
-        slowest += [settling_time(one.vehicle.linearised, one.controller) for one in candidates]
-        start = math.ceil(min(max(slowest), LONGEST))
+        each = (settling_time(one.vehicle.linearised, one.controller) for one in candidates)
+        start = math.ceil(min(max(0.0, passive_settling_time(task.line), *each), LONGEST))
         duration = start + WINDOW
     time, ratings, count = sample_times(task.vehicle, duration, task.timestep), list[Rating](), max(1, AT_ONCE // len(roads))
     for first in range(0, len(candidates), count):
