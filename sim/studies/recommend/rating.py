@@ -37,7 +37,7 @@ GAINS = np.geomspace(1 / MOST_GAIN, MOST_GAIN, 16)
 EXCESS = 4.0  # penalty for exceeding a limit by a factor e, relative to the goal's value for the passive vehicle
 LONGEST = 5.0  # s, longest transient that is awaited before the measurement
 SETTLED, MOST_TIME = 3.0, 60.0  # s, time that a run continues after an obstacle, and longest run over a road from a file
-AT_ONCE = 24  # number of runs in a batch
+AT_ONCE = 12  # number of runs in a batch, which records all signals (about 30 MB for a run of a full car)
 BROKEN = Usage(math.inf, math.inf, 1.0, 0.0, 1.0)
 
 
@@ -122,8 +122,8 @@ def drive_candidates(
     roads = [replace(road, seed=seed) for seed in seeds] if isinstance(road, Iso8608) else [road]
     start, duration = 0, min(road.duration + SETTLED, MOST_TIME) if math.isfinite(road.duration) else WINDOW
     if task.random:
-        slowest = max(settling_time(one.vehicle.linearised, one.controller) for one in candidates)
-        start = math.ceil(min(max(slowest, passive_settling_time(task.line)), LONGEST))
+        each = (settling_time(one.vehicle.linearised, one.controller) for one in candidates)
+        start = math.ceil(min(max(0.0, passive_settling_time(task.line), *each), LONGEST))
         duration = start + WINDOW
     time, ratings, count = sample_times(task.vehicle, duration, task.timestep), list[Rating](), max(1, AT_ONCE // len(roads))
     for first in range(0, len(candidates), count):
