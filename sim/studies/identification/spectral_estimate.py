@@ -2,10 +2,10 @@
 
 The search is Fisher's scoring: Newton's method in a trust region, with the expected information as half the second derivative.
 
-Test. If vehicle and road are right, the periodogram of a signal divided by its expected value has an exponential distribution at
-each frequency (a gamma distribution for the mean of several segments). The same is true for the part of a signal that cannot be
-predicted from the other signals. For both ratios, one test compares the means in bands with 1, and another one (Kolmogorov)
-compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
+Test. If vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential distribution at
+each frequency. For the mean of several segments, the distribution is a gamma distribution. The same is true for the part of a
+signal that cannot be predicted from the other signals. For both ratios, one test compares the means in bands with 1, and another
+one (Kolmogorov) compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
 """
 
 import math
@@ -25,7 +25,7 @@ from sim.studies.identification.experiment import Experiment, signal_units
 from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.random_road import Periodograms
 from sim.studies.identification.search import CHI2, SPREAD, STARTS
-from sim.studies.identification.spectral_residuals import SpectralResiduals, bands
+from sim.studies.identification.spectral_residuals import SpectralResiduals
 from sim.studies.identification.structure import information, structure_of
 from sim.studies.identification.whiteness import Whiteness
 
@@ -196,15 +196,16 @@ def spectral_figure(of: Estimate) -> Figure:
         for one, E in zip(residuals.spectra, residuals.expected(of.x), strict=True):
             if one.experiment is first:
                 # The mean of a periodogram over a band has less scatter than the periodogram.
-                parts = bands(len(E))
                 middle, measured = (
-                    np.array([values[part].mean() for part in parts]) for values in (one.frequencies, one.measured[:, i, i].real)
+                    np.array([values[part].mean() for part in one.bands])
+                    for values in (one.frequencies, one.measured[:, i, i].real)
                 )
                 curves += [
                     Curve(middle, measured, "measured", "#9a9a9a", "none", "o"),
                     Curve(one.frequencies, E[:, i, i].real, "identified vehicle and road", "#0b5fa5"),
                 ]
-        panels.append(Panel(name, "frequency [Hz]", f"[({units[name]})²/Hz]", tuple(curves), xlog=True, ylog=True))
+        unit = f"({units[name]})" if "/" in units[name] else units[name]
+        panels.append(Panel(name, "frequency [Hz]", f"[{unit}²/Hz]", tuple(curves), xlog=True, ylog=True))
     return Figure("identification", f"Spectra of {first.name} and of the identified vehicle.", tuple(panels), columns=1)
 
 
@@ -219,7 +220,7 @@ def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
     count, deviations, least = len(spectra.frequencies), list[Array](), 1.0
     for ratio in ratios:
         means, sizes = (
-            np.array(one) for one in zip(*((ratio[part].mean(), part.stop - part.start) for part in bands(count)), strict=True)
+            np.array(one) for one in zip(*((ratio[part].mean(), part.stop - part.start) for part in spectra.bands), strict=True)
         )
         shape = sizes * spectra.weight
         # the cube root of a gamma variable is almost normal (Wilson and Hilferty, 1931)
