@@ -196,8 +196,8 @@ def identify_experiments(
     """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
     experiments = tuple(one for log in logs for one in log.experiments)
     road = free_road(experiments, fix, free)
-    of_vehicle = ([name for name in names if road is None or name not in ROAD_UNITS] for names in (fix, free))
-    first = free_parameters(vehicle, *of_vehicle, {one.part for one in experiments}) | (road or {})
+    fix, free = ([name for name in names if road is None or name not in ROAD_UNITS] for names in (fix, free))
+    first = free_parameters(vehicle, fix, free, {one.part for one in experiments}) | (road or {})
     numbers = element_numbers(vehicle)
     zero = frozenset(name for name in free if not vehicle.parameters.get(name) and not numbers.get(name, (0.0,))[0])
     lowest = {name: numbers[name][1].low for name in first if name in numbers and numbers[name][1].low > LOWEST}

@@ -74,9 +74,14 @@ class Periodograms:
         """Number of independent segments, counted by their information."""
         return self.segments / self.inflation
 
+    @property
+    def width(self) -> float:
+        """Distance between two frequencies [Hz]."""
+        return float(self.frequencies[0]) / self.first
+
     def powers(self, spectra: Array) -> Array:
         """Returns the mean squares of the q signals with spectra at some of the frequencies, shape (q,)."""
-        return np.einsum("kii->i", spectra).real * self.frequencies[0] / self.first
+        return np.real(np.einsum("kii->i", spectra)) * self.width
 
     @cached_property
     def bands(self) -> list[slice]:
@@ -93,8 +98,7 @@ class Periodograms:
     def grid(self) -> tuple[Array, Array]:
         """Frequencies of the convolution [Hz], half a bin apart, shape (J,), and True for those below 0, which are mirrored."""
         places = np.arange(2 * self.first - REACH, 2 * (self.first + len(self.frequencies) - 1) + REACH + 1)
-        bin_width = self.frequencies[0] / self.first
-        return np.maximum(np.abs(places), 1) * bin_width / 2, places < 0
+        return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
 
     def expected(self, spectra: Array) -> Array:
         """Returns the expected periodograms, shape (K, ...), of spectra on the grid, shape (J, ...)."""

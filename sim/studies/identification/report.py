@@ -94,7 +94,7 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
     """Returns all parameters that were free."""
     estimate, rows = of.estimate, list[ParameterRow]()
     units = {one.name: one.unit for one in of.vehicle.kind.parameters}
-    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | ROAD_UNITS
+    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | dict(ROAD_UNITS)
     for name in estimate.problem.first:
         first, unit = estimate.problem.first[name], units.get(name, "")
         if name in of.intervals:

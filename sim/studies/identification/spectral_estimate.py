@@ -198,11 +198,11 @@ def spectral_figure(of: Estimate) -> Figure:
                 # The mean of a periodogram over a band has less scatter than the periodogram.
                 middle, measured = (
                     np.array([values[part].mean() for part in one.bands])
-                    for values in (one.frequencies, one.measured[:, i, i].real)
+                    for values in (one.frequencies, np.real(one.measured[:, i, i]))
                 )
                 curves += [
                     Curve(middle, measured, "measured", "#9a9a9a", "none", "o"),
-                    Curve(one.frequencies, E[:, i, i].real, "identified vehicle and road", "#0b5fa5"),
+                    Curve(one.frequencies, np.real(E[:, i, i]), "identified vehicle and road", "#0b5fa5"),
                 ]
         unit = f"({units[name]})" if "/" in units[name] else units[name]
         panels.append(Panel(name, "frequency [Hz]", f"[{unit}²/Hz]", tuple(curves), xlog=True, ylog=True))

@@ -147,8 +147,8 @@ class SpectralResiduals(Residuals):
         for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):
             size = math.sqrt(each.weight)
             columns = np.moveaxis(changes, 1, -1).reshape(left.size, len(x))
-            R += [size * columns.real, size * columns.imag]
-            c += [size * left.real.ravel(), size * left.imag.ravel()]
+            R += [size * np.real(columns), size * np.imag(columns)]
+            c += [size * np.real(left).ravel(), size * np.imag(left).ravel()]
         return np.concatenate(R), np.concatenate(c)
 
     def scores(self, x: Array) -> Array:
@@ -172,21 +172,20 @@ class SpectralResiduals(Residuals):
         return total
 
     def fits(self, x: Array) -> list[dict[str, float]]:
-        """Returns for each experiment the fit of the rms of each signal in bands.
+        """Returns for each experiment the fit of the spectrum of each signal.
 
-        The fit is 1 minus the rms of the differences between measured and expected rms, relative to the signal's rms. The part of
-        the differences that the scatter of a random road causes is subtracted.
+        The fit is 1 minus the relative difference between measured and expected rms in bands of frequencies, as a root mean square
+        over all bands. The part of the differences that the scatter of a random road causes is subtracted.
         """
         fits = list[dict[str, float]]()
         for one in self.problem.experiments:
-            total, wrong = np.zeros((2, len(one.channels)))
+            rows = list[Array]()
             for each, E in zip(self.spectra, self.expected(x), strict=True):
                 for part in each.bands if each.experiment is one else ():
                     measured, expected = each.powers(each.measured[part]), each.powers(E[part])
-                    total += measured
-                    # variance of the rms of normal noise with the given number of independent periodograms
-                    scatter = expected / (4 * each.weight * (part.stop - part.start))
-                    wrong += np.square(np.sqrt(measured) - np.sqrt(expected)) - scatter
-            shares = np.sqrt(np.maximum(wrong, 0.0) / total)
+                    # relative variance of the rms of independent periodograms
+                    scatter = each.powers(np.abs(E[part]) ** 2) * each.width / (4 * each.weight * expected**2)
+                    rows.append(np.square(np.sqrt(measured / expected) - 1) - scatter)
+            shares = np.sqrt(np.maximum(np.mean(rows, axis=0), 0.0))
             fits.append({name: 1 - share for name, share in zip(one.signals, shares.tolist(), strict=True)})
         return fits
