@@ -25,7 +25,7 @@ from sim.studies.identification.random_road import ROAD_UNITS, free_road
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
 from sim.studies.identification.residuals import Residuals
 from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
-from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra
+from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra, unsteady
 
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
@@ -242,7 +242,8 @@ def _identify_spectra(
             low, high = around if name in problem.from_zero else result.interval(name)
             intervals[name] = Interval(low, high, "robust" if result.coloured else "covariance")
     ended = tuple((one.name, fit) for log in hold_out for one, fit in fits_elsewhere(result, log.experiments))
-    return Identification(result, intervals, (), tuple(remarks), _mirror(result, nearby_spectra), ended, {})
+    remarks = (*remarks, *unsteady(problem.experiments))
+    return Identification(result, intervals, (), remarks, _mirror(result, nearby_spectra), ended, {})
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:

@@ -163,7 +163,7 @@ def statements(of: Identification) -> Iterator[Statement]:
     """Yields statements on the quality of the estimate, and on parameters that the logs do not determine."""
     estimate = of.estimate
     if estimate.structure.directions:
-        scale = any({round(abs(power), 6) for power in one.values()} == {1.0} for one in estimate.structure.directions)
+        scale = any({round(power, 6) for power in one.values()} == {1.0} for one in estimate.structure.directions)
         advice = f": {SCALE}" if scale else "; fix one of them, or measure another signal"
         held = list_names(estimate.structure.held)
         yield Statement(f"The logs cannot determine {held} together with all other parameters{advice}.", "ends")

@@ -18,6 +18,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, list_names
+from models.common.printed import rough
 from models.document.document import Statement
 from models.document.figure import Curve, Figure, Panel
 from sim.studies.identification.estimate import Estimate
@@ -33,6 +34,8 @@ from sim.studies.identification.whiteness import Whiteness
 # s^2 / 2 times this.
 SETTLED, COARSE = 1e-2, 1.0
 MOST, FEW = 40, 10  # largest number of iterations of a search, and of one from a further starting point
+PARTS = 5  # number of parts of a log that are compared
+UNSTEADY = 2.0  # a log is not steady if the rms in two parts differs by a larger factor
 POOR = 0.5  # if the fit of a signal's spectrum is smaller, other starting points are tried
 
 
@@ -106,6 +109,20 @@ def fits_elsewhere(of: Estimate, experiments: Sequence[Experiment]) -> Iterator[
             other = replace(one, channels=channels)
             residuals = SpectralResiduals(replace(of.problem, first=of.values, experiments=(other,), known=()), ())
             yield other, residuals.fits(residuals.first())[0]
+
+
+def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
+    """Yields remarks on signals whose fast motion changes along a log, because a random road needs a constant speed."""
+    for one in experiments:
+        for channel in one.channels:
+            parts = np.array_split(np.diff(channel.values), PARTS)
+            rms = [float(np.sqrt(np.mean(part**2))) for part in parts]
+            if max(rms) > UNSTEADY * min(rms):
+                factor = rough(max(rms) / min(rms))
+                yield (
+                    f"{one.name}: the rms of the rate of {channel.signal} changes by a factor of {factor} along the log, but the "
+                    "spectra assume a constant speed and one road; choose a part with first and last in the map"
+                )
 
 
 def with_levels(of: SpectralResiduals, x: Array) -> Array:
