@@ -22,7 +22,7 @@ from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.profile import profile
 from sim.studies.identification.random_road import ROAD_UNITS, free_road
-from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+from sim.studies.identification.reading import LEAST, LogStretches, read_experiments, runs
 from sim.studies.identification.residuals import Residuals
 from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
 from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra, unsteady
@@ -260,8 +260,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
             f"{one.name}: a wheel is in the air in {int(lifted[i].sum())} samples; these samples, and {AFTER:g} s after each "
             "of them, are ignored"
         )
-        edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(int)))
-        for first, last in edges.reshape(-1, 2):
+        for first, last in runs(~out):
             if last - first >= LEAST:
                 channels = tuple(replace(each, values=each.values[first:last]) for each in one.channels)
                 channels = tuple(each for each in channels if each.counted.any())
