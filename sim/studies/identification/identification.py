@@ -21,11 +21,11 @@ from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.profile import profile
-from sim.studies.identification.random_road import ROAD_UNITS, free_road
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments, runs
 from sim.studies.identification.residuals import Residuals
 from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
-from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra, unsteady
+from sim.studies.identification.spectra.random_road import ROAD_UNITS, free_road
+from sim.studies.identification.spectra.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra, unsteady
 
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult

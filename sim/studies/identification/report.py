@@ -24,10 +24,10 @@ from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.identification import Identification, element_numbers
 from sim.studies.identification.plan import PLANS, ChirpPlan
-from sim.studies.identification.random_road import ROAD_UNITS
 from sim.studies.identification.search import NORMAL
-from sim.studies.identification.spectral_estimate import spectral_figure, spectral_statement
-from sim.studies.identification.spectral_residuals import SpectralResiduals
+from sim.studies.identification.spectra.random_road import ROAD_UNITS
+from sim.studies.identification.spectra.spectral_estimate import spectral_figure, spectral_statement
+from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "

@@ -24,9 +24,9 @@ from models.document.figure import Curve, Figure, Panel
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import Experiment, signal_units
 from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.random_road import Periodograms
 from sim.studies.identification.search import CHI2, SPREAD, STARTS
-from sim.studies.identification.spectral_residuals import SpectralResiduals
+from sim.studies.identification.spectra.random_road import Periodograms
+from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals
 from sim.studies.identification.structure import information, structure_of
 from sim.studies.identification.whiteness import Whiteness
 
