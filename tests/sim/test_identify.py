@@ -480,6 +480,7 @@ def test_a_dyno_log_gives_the_numbers_of_a_part(tmp_path):
         [path], on_a_dyno("bouc_wen", {"alpha": 60.0, "A": 2000.0, "beta": 2000.0, "gamma": 0.0}), log_map, ["mr.exponent"]
     )
     assert scale.estimate.structure.held == ("mr.alpha",)
+    assert "motion alone" not in said(scale)
 
 
 def test_a_log_without_noise_is_no_evidence_against_the_vehicle(tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.studies.identification.identification import Identification, identify
 from sim.studies.identification.log_map import LogKeys, LogMap, SensorSection
@@ -90,6 +91,30 @@ def test_a_road_that_is_not_measured(tmp_path):
     assert of.estimate.white
 
 
+def test_what_random_roads_need(tmp_path):
+    """A class without a speed, and a log whose second half is three times as fast, are named."""
+    values = signals((BODY, TRAVEL), 1, 20.0)
+    path = written(tmp_path / "log.csv", (BODY, TRAVEL), values)
+    with pytest.raises(InputError, match="needs the speed of the vehicle"):
+        identify([path], read_vehicle("quarter_car"), LogMap(LogKeys(road="iso8608")))
+    louder = [one * np.where(np.arange(len(one)) < len(one) / 2, 1.0, 3.0) for one in values]
+    written(path, (BODY, TRAVEL), louder)
+    of = identify([path], read_vehicle("quarter_car"), LogMap(LogKeys(road="iso8608", speed=SPEED)), [MASS])
+    assert any("changes by a factor of 3" in one for one in of.remarks)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("change", ["delay", "waviness"])
+def test_a_wrong_road_or_sensor_fails_the_test(tmp_path, change):
+    """A sensor that is 20 ms late, or a waviness of 2.5 instead of 2, are not as expected; with free waviness, it is right."""
+    late, waviness = ({TRAVEL: 2}, 2.0) if change == "delay" else ({}, 2.5)
+    assert not identified(tmp_path, late=late, waviness=waviness, duration=60.0).estimate.white
+    if change == "waviness":
+        of = identified(tmp_path, waviness=waviness, duration=60.0, free=["waviness"])
+        assert of.estimate.white
+        assert of.estimate.values["waviness"] == pytest.approx(2.5, rel=4 * of.estimate.deviations["waviness"])
+
+
 @pytest.mark.attack
 @pytest.mark.parametrize(
     ("names", "free"),
@@ -104,6 +129,6 @@ def test_intervals_of_spectra_cover(tmp_path, names, free):
         errors.append(off(of))
         rejected += not of.estimate.white
     errors = np.array(errors)
-    assert rejected <= 1
-    assert 0.90 < (np.abs(errors) < 1.96).mean() < 0.985
+    assert rejected <= 2  # one of 1000 is expected
+    assert 0.90 < (np.abs(errors) < 1.96).mean() < 0.98
     assert np.abs(errors.mean(axis=0)).max() < 3.5 / np.sqrt(60)

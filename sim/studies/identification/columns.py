@@ -136,6 +136,7 @@ def _lines(
         yield f'road = {toml_value(LOGGED)}       # or "flat", "unknown", or a road such as "bump:height=0.05" with a speed'
         if not road:
             yield "# No heading names the height of the road: add [signals.road_displacement], or change road."
+            yield '# If the log is from a random road at constant speed: road = "iso8608:class=C", and speed = "20 m/s"'
     else:
         yield f"road = {toml_value(UNKNOWN)}      # no heading names the road, so the acceleration of the hub drives the body"
     yield 'start = "estimated"   # or "rest"'

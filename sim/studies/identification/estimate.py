@@ -67,9 +67,12 @@ class Estimate:
 
     @cached_property
     def noiseless(self) -> dict[str, float]:
-        """Signals that are fitted almost exactly: by name, the largest ratio of the residuals' rms to the signal's rms."""
+        """Signals that are fitted almost exactly: by name, the largest ratio of the residuals' rms to the signal's rms.
+
+        Spectra have no such signals, because they scatter.
+        """
         shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
-        return {name: share for name, share in shares.items() if share < NOISELESS}
+        return {name: share for name, share in shares.items() if share < NOISELESS and self.predicted}
 
     @property
     def white(self) -> bool:

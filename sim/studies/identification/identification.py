@@ -21,11 +21,11 @@ from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.profile import profile
-from sim.studies.identification.random_road import ROAD_UNITS, free_road
-from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+from sim.studies.identification.reading import LEAST, LogStretches, read_experiments, runs
 from sim.studies.identification.residuals import Residuals
 from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
-from sim.studies.identification.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra
+from sim.studies.identification.spectra.random_road import ROAD_UNITS, free_road
+from sim.studies.identification.spectra.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra, unsteady
 
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
@@ -196,8 +196,8 @@ def identify_experiments(
     """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
     experiments = tuple(one for log in logs for one in log.experiments)
     road = free_road(experiments, fix, free)
-    of_vehicle = ([name for name in names if road is None or name not in ROAD_UNITS] for names in (fix, free))
-    first = free_parameters(vehicle, *of_vehicle, {one.part for one in experiments}) | (road or {})
+    fix, free = ([name for name in names if road is None or name not in ROAD_UNITS] for names in (fix, free))
+    first = free_parameters(vehicle, fix, free, {one.part for one in experiments}) | (road or {})
     numbers = element_numbers(vehicle)
     zero = frozenset(name for name in free if not vehicle.parameters.get(name) and not numbers.get(name, (0.0,))[0])
     lowest = {name: numbers[name][1].low for name in first if name in numbers and numbers[name][1].low > LOWEST}
@@ -242,7 +242,8 @@ def _identify_spectra(
             low, high = around if name in problem.from_zero else result.interval(name)
             intervals[name] = Interval(low, high, "robust" if result.coloured else "covariance")
     ended = tuple((one.name, fit) for log in hold_out for one, fit in fits_elsewhere(result, log.experiments))
-    return Identification(result, intervals, (), tuple(remarks), _mirror(result, nearby_spectra), ended, {})
+    remarks = (*remarks, *unsteady(problem.experiments))
+    return Identification(result, intervals, (), remarks, _mirror(result, nearby_spectra), ended, {})
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
@@ -259,8 +260,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
             f"{one.name}: a wheel is in the air in {int(lifted[i].sum())} samples; these samples, and {AFTER:g} s after each "
             "of them, are ignored"
         )
-        edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(int)))
-        for first, last in edges.reshape(-1, 2):
+        for first, last in runs(~out):
             if last - first >= LEAST:
                 channels = tuple(replace(each, values=each.values[first:last]) for each in one.channels)
                 channels = tuple(each for each in channels if each.counted.any())

@@ -68,7 +68,7 @@ class SensorSection(Section):
 class LogKeys(Section):
     """Keys of a map, for all logs or for one log."""
 
-    road: Annotated[str, Text("logged, flat, unknown, or a road as for roadproof drive")] = LOGGED
+    road: Annotated[str, Text("logged, flat, unknown, or a road as for roadproof drive; a random road is not measured")] = LOGGED
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
     start: Annotated[str, Choice("state at the first sample", (ESTIMATED, REST))] = ESTIMATED
     forces: Annotated[str, Choice("forces between samples", (STRAIGHT, HELD))] = STRAIGHT

@@ -22,7 +22,8 @@ from models.parts.part import STEP, Part
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 
-# relative step of finite differences; the step is always upwards, because a number may be at its smallest allowed value
+# Relative step of finite differences. A part compares its numbers with limits, so complex steps are not possible. The step is
+# always upwards, because a number may be at its smallest allowed value.
 RELATIVE = 1e-6
 FINE, FINEST = 4, 64  # smallest and largest number of integration steps between two samples
 RATE = 0.5  # largest product of the fine step and the rate of the part's states, at the largest speed

@@ -85,10 +85,14 @@ class LogPrediction:
         return one.altered({name: one.parameters[name] + more for name, more in self.experiment.added.items()})
 
     @cached_property
-    def _inputs(self) -> Array:
-        """Inputs at the samples, and their rates over the step after each sample, shape (T, 2 v)."""
+    def _inputs(self) -> tuple[Array, Array]:
+        """Inputs and their rates over the step after each sample, and at each sample, each of shape (T, 2 v).
+
+        The rate at a sample is the mean of the rates before and after. This mean is the true rate if the road is smooth.
+        """
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
+        at_samples = np.hstack([held, (rates + np.vstack([rates[:1], rates[:-1]])) / 2])
         wheels = self.experiment.road.shape[1]
         if self.experiment.forces_held:
             rates[:, wheels:] = 0.0
@@ -98,14 +102,7 @@ class LogPrediction:
         if self.experiment.road_held:
             held[:, :wheels] = midpoints(held[:, :wheels])
             rates[:, :wheels] = 0.0
-        return np.hstack([held, rates])
-
-    @cached_property
-    def _at_samples(self) -> Array:
-        """Inputs at the samples, with the mean of the rates before and after: the rate at the sample if the road is smooth."""
-        held = np.hstack([self.experiment.road, self.experiment.forces])
-        rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
-        return np.hstack([held, (rates + np.vstack([rates[:1], rates[:-1]])) / 2])
+        return np.hstack([held, rates]), at_samples
 
     def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """Returns the names of the components of an unknown starting state."""
@@ -132,10 +129,10 @@ class LogPrediction:
         if self.vehicle(values).parts.nonlinear:
             return self._stepped(values, free, start, delays, derivatives)
         step = self._step(values, delays)
-        n, inputs = len(step.Phi), self._inputs
+        n, (inputs, _) = len(step.Phi), self._inputs
         first = np.zeros(n) if start is None else start
         x = recursion(step.Phi, inputs @ step.Gamma.T, first)
-        value = self._read(step.rows, x, inputs, delays)
+        value = self._read(step.rows, x, delays)
         none = np.zeros((0, *value.shape))
         if not derivatives:
             return PredictedSignals(value, none, none, np.zeros_like(value))
@@ -143,13 +140,13 @@ class LogPrediction:
         for i, (name, size) in enumerate(free.items()):
             one = self._by_parameter(values, name, size, delays)
             dx = recursion(step.Phi, x @ one.Phi.T + inputs @ one.Gamma.T)
-            by_parameter[i] = self._read(one.rows, x, inputs, delays) + self._read(step.rows, dx, None, delays)
+            by_parameter[i] = self._read(one.rows, x, delays) + self._read(step.rows, dx, delays, False)
         if start is not None:
             by_start = np.zeros((n, *value.shape))
             for i in range(n):  # computes the response to each initial state without input
                 free_motion = recursion(step.Phi, np.zeros_like(x), np.eye(n)[i])
-                by_start[i] = self._read(step.rows, free_motion, None, delays)
-        return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, inputs, delays))
+                by_start[i] = self._read(step.rows, free_motion, delays, False)
+        return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, delays))
 
     def signals(self, names: Sequence[str], values: Mapping[str, float], start: Array | None) -> Array:
         """Returns other signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
@@ -157,20 +154,20 @@ class LogPrediction:
         other = LogPrediction(replace(self.experiment, channels=channels), self._vehicle)
         return other(values, {}, start, [0.0] * len(names), False).values
 
-    def _read(self, rows: Array, x: Array, inputs: Array | None, delays: Sequence[float]) -> Array:
+    def _read(self, rows: Array, x: Array, delays: Sequence[float], driven: bool = True) -> Array:
         """Returns the measurement of each channel at each sample, from [x; v; v'] at the last sample before the delayed time.
 
         Args:
             rows: row of each channel, shape (q, n + 2 v).
             x: states, shape (T, n).
-            inputs: inputs and their rates, shape (T, 2 v); None if there are no inputs.
+            driven: False if there are no inputs.
         """
         h, n, values = self.experiment.step, x.shape[1], np.empty((len(x), len(rows)))
         for i, (row, delay) in enumerate(zip(rows, delays, strict=True)):
             before = math.ceil(delay / h - 1e-9)
             column = x @ row[:n]
-            if inputs is not None:
-                column += (self._at_samples if abs(before * h - delay) <= 1e-9 * h else inputs) @ row[n:]
+            if driven:
+                column += self._inputs[abs(before * h - delay) <= 1e-9 * h] @ row[n:]
             values[:before, i], values[before:, i] = np.nan, column[: len(column) - before]
         return values
 

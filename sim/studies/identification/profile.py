@@ -1,15 +1,24 @@
-"""Confidence interval of a parameter by profile likelihood, for intervals that are wide, one-sided or not symmetric."""
+"""Confidence interval of a parameter by profile likelihood, for intervals that are wide, one-sided or not symmetric.
 
-from dataclasses import replace
+The profile is the deviance as a function of one parameter, minimised over all other unknowns. Points of the profile are computed
+in steps from the estimate outwards. Each point starts from the previous one, moved along the tangent of the curve of minima. The
+square root of the rise of the deviance is almost a straight line, so a few more points give the end of the interval.
+"""
+
+import math
 from typing import Any
 
 import numpy as np
 
+from models.common.arrays import Array
 from sim.studies.identification.estimate import Estimate
-from sim.studies.identification.residuals import FURTHEST, Residuals
-from sim.studies.identification.search import CHI2, FEW, NORMAL, solve
+from sim.studies.identification.residuals import FURTHEST
+from sim.studies.identification.search import CHI2, NORMAL, lower_limits, solve
 
-WARM = 4  # number of rounds in a search that starts near a solution
+STRIDE = 1.5  # largest step of a logarithm, a factor of 4.5
+ROUNDS, MOST = 2, 8  # largest number of rounds of the search for a point, and of evaluations in each round
+FINE = 1e-2  # accuracy of the end of an interval, relative to the last step
+REFINED = 6  # largest number of points within the last step
 
 
 def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
@@ -18,37 +27,58 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     A side is open if the likelihood never falls to the level of an interval's end. The parameter is changed by a factor of up to
     8000, or to zero if it may be zero. If residuals are coloured, the required fall is larger, as in the robust covariance.
     """
+    i, own = of.free.index(name), of.residuals
+    from_zero, best = name in of.problem.from_zero, of.x[i]
+    level = math.sqrt(CHI2 * (of.spread[i, i] / of.covariance[i, i]))
+    size = own.sizes(of.values)[name]
+    deviation = math.sqrt(of.spread[i, i]) * max(of.values[name], 1e-9 * size) / size  # standard deviation of the unknown
+    least = lower_limits(own)[i]
+    ends = list[float | None]()
+    for last in (least if np.isfinite(least) else -FURTHEST, FURTHEST):
+        step = min(NORMAL * deviation, abs(last - best), math.inf if from_zero else STRIDE)
+        end = _end(of, i, last, step, level) if step else None
+        ends.append(None if end is None else own.value(name, end))
+    return ends[0], ends[1]
+
+
+def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float | None:
+    """Returns the unknown i at which the square root of the rise of the deviance reaches a level; None if it never does.
+
+    Args:
+        last: last value of the unknown.
+        step: size of the first step.
+        level: square root of the required rise.
+    """
     from scipy.optimize import brentq
 
-    i, own = of.free.index(name), of.residuals
-    others, warm = tuple(one for one in of.free if one != name), {0.0: np.delete(of.x, i)}
-    rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
-    levels = {0.0: -rise}
-    size = own.sizes(of.values)[name]
-    deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # standard deviation of the unknown
-    from_zero, best = name in of.problem.from_zero, own.coordinate(name, of.values[name])
+    own, others = of.residuals, [j for j in range(len(of.x)) if j != i]
+    limits = lower_limits(own)
+    points = {float(of.x[i]): of.x}
 
-    def excess(shift: float) -> float:
-        if shift in levels:
-            return levels[shift]
-        # The initial values are not replaced, because the unknowns of the other parameters are relative to them.
-        fixed = Residuals(replace(of.problem, first={**own.problem.first, name: own.value(name, best + shift)}), others)
-        solution = solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))], WARM, FEW)
-        warm[shift] = solution.x
-        levels[shift] = solution.deviance - of.deviance - rise
-        return levels[shift]
+    def tangent(x: Array) -> Array:
+        R, _ = own.reduced(x, own.noise(x))
+        slope = np.ones(len(x))
+        slope[others] = -np.linalg.lstsq(R[:, others], R[:, i])[0]
+        return slope
 
-    ends = list[float | None]()
-    for sign in (-1, 1):
-        low, high = 0.0, sign * min(NORMAL * deviation, FURTHEST)
-        least = own.coordinate(name, of.problem.lowest[name]) if name in of.problem.lowest else -FURTHEST
-        last = FURTHEST - best if sign > 0 else (0.0 if from_zero else least) - best
-        high = high if abs(high) < abs(last) else last
-        while (above := excess(high)) < 0 and high != last:
-            low, high = high, sign * min(2 * abs(high), abs(last))
-        if above < 0:
-            ends.append(None)
-            continue
-        shift: Any = brentq(excess, low, high, xtol=1e-2 * deviation, rtol=np.float64(1e-4))
-        ends.append(own.value(name, best + shift))
-    return ends[0], ends[1]
+    excesses = {float(of.x[i]): -level}
+
+    def excess(at: float) -> float:
+        if at not in excesses:
+            nearest = min(points, key=lambda one: abs(one - at))
+            near, along = points[nearest].copy(), np.maximum(points[nearest] + (at - nearest) * tangent(points[nearest]), limits)
+            near[i] = along[i] = at
+            start = min((near, along), key=lambda x: own.deviance(x, own.noise(x)))
+            solution = solve(own, start, ROUNDS, MOST, others)
+            points[at] = solution.x
+            excesses[at] = math.sqrt(max(solution.deviance - of.deviance, 0.0)) - level
+        return excesses[at]
+
+    here = float(of.x[i])
+    while here != last:
+        ahead = last if abs(last - here) <= step else here + math.copysign(step, last - here)
+        if excess(ahead) >= 0:
+            end: Any = brentq(excess, here, ahead, xtol=FINE * step, maxiter=REFINED, disp=False)
+            return end
+        here, step = ahead, min(2 * step, max(step, STRIDE))
+    return None

@@ -140,7 +140,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
         values, remarks = dict(zip(values, filled.T, strict=True)), remarks + more
         whole, least = np.isfinite(filled).all(axis=1), max(LEAST, round(SHORTEST / step))
     experiments = list[Experiment]()
-    for first, last in _runs(np.asarray(whole)):
+    for first, last in runs(np.asarray(whole)):
         if last - first < least:
             continue
         channels = tuple(_channel(name, values[name][first:last], sensors[name]) for name in values)
@@ -306,7 +306,7 @@ def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
         if not missing.any() or missing.all():
             continue
         number = 0
-        for first, last in _runs(missing):
+        for first, last in runs(missing):
             if last - first < GAP and first > 0 and last < len(column):
                 column[first:last] = np.interp(np.arange(first, last), [first - 1, last], [column[first - 1], column[last]])
                 number += last - first
@@ -315,7 +315,7 @@ def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
     return filled, remarks
 
 
-def _runs(true: Array) -> list[tuple[int, int]]:
+def runs(true: Array) -> list[tuple[int, int]]:
     """Returns the first index and the last index + 1 of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.errors import list_names
 from models.common.files import parse_toml
-from models.common.printed import digits, entry, finite, percent, rough
+from models.common.printed import digits, entry, percent, rough
 from models.common.toml_edit import Replacement, section_lines, with_replacements
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record, at_most
@@ -19,19 +19,21 @@ from models.document.figure import Curve, Figure, Panel
 from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.allowed_result import ALLOWED, WORST_BOUND, AllowedResult
+from sim.studies.identification.diagnosis import Cause
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.identification import Identification, element_numbers
 from sim.studies.identification.plan import PLANS, ChirpPlan
-from sim.studies.identification.random_road import ROAD_UNITS
 from sim.studies.identification.search import NORMAL
-from sim.studies.identification.spectral_estimate import spectral_figure, spectral_statement
-from sim.studies.identification.spectral_residuals import SpectralResiduals
+from sim.studies.identification.spectra.random_road import ROAD_UNITS
+from sim.studies.identification.spectra.spectral_estimate import spectral_figure, spectral_statement
+from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
     "a known payload, or a measured force"
 )
+SILENT = "no measured signal depends on it"
 SHARE = Field[float]("deviation", float, ".2g", 100, unit="%")
 MOST_POINTS = 2000  # largest number of points of a drawn curve
 SECTION = "identified"
@@ -60,7 +62,6 @@ class SensorRow:
     fit: float
     noise: float
     delay: float
-    delay_deviation: float | None
     probability: float
     outside: float
 
@@ -94,19 +95,19 @@ def parameter_rows(of: Identification) -> list[ParameterRow]:
     """Returns all parameters that were free."""
     estimate, rows = of.estimate, list[ParameterRow]()
     units = {one.name: one.unit for one in of.vehicle.kind.parameters}
-    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | ROAD_UNITS
-    for name in estimate.problem.first:
-        first, unit = estimate.problem.first[name], units.get(name, "")
-        if name in of.intervals:
-            one = of.intervals[name]
-            ends = ", open below" * (one.low is None) + ", open above" * (one.high is None)
-            rows.append(ParameterRow(name, unit, first, estimate.values[name], one.low, one.high, one.method + ends))
-        elif name in estimate.structure.held:
-            rows.append(ParameterRow(name, unit, first, None, None, None, "not determined: see the products"))
+    units |= {name: key.unit for name, (_, key) in element_numbers(of.vehicle).items()} | dict(ROAD_UNITS)
+    for name, first in estimate.problem.first.items():
+        if one := of.intervals.get(name):
+            note = one.method + ", open below" * (one.low is None) + ", open above" * (one.high is None)
+            rows.append(ParameterRow(name, units.get(name, ""), first, estimate.values[name], one.low, one.high, note))
+            continue
+        if name in estimate.structure.held:
+            note = "not determined: see the products"
         elif name in estimate.structure.silent:
-            rows.append(ParameterRow(name, unit, first, None, None, None, "no measured signal depends on it"))
+            note = SILENT
         else:
-            rows.append(ParameterRow(name, unit, first, None, None, None, f"only {product_words(estimate.ratios[name])}"))
+            note = f"only {product_words(estimate.ratios[name])}"
+        rows.append(ParameterRow(name, units.get(name, ""), first, None, None, None, note))
     return rows
 
 
@@ -123,21 +124,12 @@ def _power(name: str, power: float) -> str:
 
 def sensor_rows(of: Identification) -> list[SensorRow]:
     """Returns all sensors of all experiments."""
-    estimate, rows = of.estimate, list[SensorRow]()
-    p, kind = len(estimate.free), of.vehicle.kind
-    R, _ = estimate.residuals.reduced(estimate.x, estimate.noise)
-    spread = np.linalg.pinv(R.T @ R)
-    own = {name: float(np.sqrt(spread[p + i, p + i])) for i, name in enumerate(estimate.delays)}
+    estimate, units, rows = of.estimate, signal_units(of.vehicle.kind), list[SensorRow]()
     for one, fits, tests in zip(estimate.problem.experiments, estimate.fits, estimate.whiteness, strict=True):
         for channel in one.channels:
             name, test = channel.signal, tests[channel.signal]
-            delay = estimate.delays.get(name, channel.delay)
-            unit = signal_units(kind)[name]
-            rows.append(
-                SensorRow(
-                    one.name, name, unit, fits[name], estimate.noise[name], delay, own.get(name), test.probability, test.outside
-                )
-            )
+            noise, delay = estimate.noise[name], estimate.delays.get(name, channel.delay)
+            rows.append(SensorRow(one.name, name, units[name], fits[name], noise, delay, test.probability, test.outside))
     return rows
 
 
@@ -152,10 +144,10 @@ def products(of: Estimate) -> Iterator[tuple[str, float, float, float]]:
 
 Product = tuple[str, float, float, float]
 PRODUCTS = (
-    Field[Product]("product", lambda row: row[0]),
-    Field[Product]("value [SI]", lambda row: row[1], ".5g"),
-    Field[Product]("95 % from", lambda row: row[2], ".5g"),
-    Field[Product]("to", lambda row: row[3], ".5g"),
+    Field[Product]("product", lambda row: row[0], key="product"),
+    Field[Product]("value [SI]", lambda row: row[1], ".5g", key="value"),
+    Field[Product]("95 % from", lambda row: row[2], ".5g", key="low"),
+    Field[Product]("to", lambda row: row[3], ".5g", key="high"),
 )
 
 
@@ -163,7 +155,7 @@ def statements(of: Identification) -> Iterator[Statement]:
     """Yields statements on the quality of the estimate, and on parameters that the logs do not determine."""
     estimate = of.estimate
     if estimate.structure.directions:
-        scale = any({round(abs(power), 6) for power in one.values()} == {1.0} for one in estimate.structure.directions)
+        scale = any({round(power, 6) for power in one.values()} == {1.0} for one in estimate.structure.directions)
         advice = f": {SCALE}" if scale else "; fix one of them, or measure another signal"
         held = list_names(estimate.structure.held)
         yield Statement(f"The logs cannot determine {held} together with all other parameters{advice}.", "ends")
@@ -259,13 +251,11 @@ def record(of: Identification) -> dict[str, Any]:
     estimate = of.estimate
     return {
         "parameters": [PARAMETER_RECORD(row) for row in parameter_rows(of)],
-        "products": [
-            {"product": words, "value": value, "low": low, "high": high} for words, value, low, high in products(estimate)
-        ],
+        "products": [Record[Product](*PRODUCTS)(row) for row in products(estimate)],
         "correlations": _correlations(estimate),
         "sensors": [SENSOR_RECORD(row) for row in sensor_rows(of)],
         "white": estimate.white,
-        "causes": [{"words": one.words, "share": one.share, "deviations": finite(one.deviations)} for one in of.causes],
+        "causes": [Record[Cause]("words", "share", "deviations")(one) for one in of.causes],
         "mirror": dict(of.mirror),
         "hold_out": [{"experiment": name, "fits": dict(fits)} for name, fits in of.held_out],
         "in_mujoco": dict(of.in_mujoco),
@@ -312,7 +302,7 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
     held = {name: "not determined: the logs give only its products with other parameters" for name in estimate.structure.held}
-    held |= {name: "no measured signal depends on it" for name in estimate.structure.silent}
+    held |= {name: SILENT for name in estimate.structure.silent}
     content: dict[str, Any] = {
         "intervals": intervals,
         "fixed": held,

@@ -1,8 +1,7 @@
 """Residuals of all experiments, predicted minus measured signals divided by the noise, and their derivatives by the unknowns.
 
-The unknowns are one vector x: free parameters, delays of sensors [s], and for each experiment the components of its starting
-state and the offsets of its channels. The unknown of a parameter is the logarithm of its ratio to the initial value, or the
-ratio itself if the parameter may be zero.
+The vector x contains all unknowns: free parameters, delays of sensors [s], and the starting state and offsets of each experiment.
+The unknown of a parameter is the logarithm of its ratio to the initial value, or the ratio itself if the parameter may be zero.
 """
 
 import math

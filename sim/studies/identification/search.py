@@ -1,6 +1,6 @@
 """Search for the parameters with the largest likelihood, from one or several starting points."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -53,16 +53,17 @@ def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
     return x
 
 
-def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST) -> Solution:
+def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among: Sequence[int] | None = None) -> Solution:
     """Returns the solution of largest likelihood near x. Unknowns and noise are estimated alternately.
 
     Args:
         rounds: largest number of rounds.
         most: largest number of evaluations in each round.
+        among: indices of the unknowns that change; all by default.
     """
     noise = of.noise(x)
     for _ in range(rounds):
-        x = least_squares(of, x, noise, most)
+        x = least_squares(of, x, noise, most, among)
         before, noise = noise, of.noise(x)
         if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
             break
@@ -84,26 +85,43 @@ def solve_from_several(of: Residuals, seed: int) -> Solution:
     return best
 
 
-def least_squares(of: Residuals, x: Array, noise: Mapping[str, float], most: int) -> Array:
-    """Returns the unknowns that minimise the squares of the residuals over the noise, after at most `most` evaluations."""
+def least_squares(of: Residuals, x: Array, noise: Mapping[str, float], most: int, among: Sequence[int] | None = None) -> Array:
+    """Returns the unknowns that minimise the squares of the residuals over the noise, after at most `most` evaluations.
+
+    Args:
+        among: indices of the unknowns that change; all by default.
+    """
     from scipy import optimize
 
-    def residuals(x: Array) -> Array:
-        return of.reduced(x, noise)[1]
+    chosen = slice(None) if among is None else list(among)
 
-    def jacobian(x: Array) -> Array:
-        return of.reduced(x, noise)[0]
+    def point(y: Array) -> Array:
+        moved = x.copy()
+        moved[chosen] = y
+        return moved
 
-    least = np.full(len(x), -np.inf)
+    def jacobian(y: Array) -> Array:
+        return of.reduced(point(y), noise)[0][:, chosen]
+
+    least = lower_limits(of)[chosen]
+    bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
+    inside = np.maximum(x[chosen], least + 1e-3)  # the search does not start on a bound, because it would not move from there
+    by_unknown: Any = jacobian
+    result = optimize.least_squares(
+        lambda y: of.reduced(point(y), noise)[1], inside, by_unknown, max_nfev=most, **bounds, **TOLERANCES
+    )
+    return point(result.x)
+
+
+def lower_limits(of: Residuals) -> Array:
+    """Returns the smallest allowed value of each unknown, shape (unknowns,)."""
+    least = np.full(of.size, -np.inf)
     for i, name in enumerate(of.free):
         if name in of.problem.from_zero:
             least[i] = 0.0
         elif name in of.problem.lowest:
             least[i] = of.coordinate(name, of.problem.lowest[name])
-    bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
-    inside = np.maximum(x, least + 1e-3)  # the search does not start on a bound, because it would not move from there
-    by_unknown: Any = jacobian
-    return optimize.least_squares(residuals, inside, by_unknown, max_nfev=most, **bounds, **TOLERANCES).x
+    return least
 
 
 def _poor(of: Residuals, x: Array) -> bool:

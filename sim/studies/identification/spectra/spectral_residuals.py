@@ -8,11 +8,10 @@ expected value E, and n = segments / inflation independent segments,
 With E = L L*, the residuals sqrt(n) (I - L^-1 P L^-*) and the derivatives sqrt(n) L^-1 dE L^-* give J'J, which is the expected
 information (Fisher), and 2 J'c, which is the gradient of the deviance.
 
-The unknowns are one vector x: free parameters of vehicle and road as in `residuals`, delays of sensors [s], and the logarithm of
-the noise rms of each sensor, relative to the rms of the signal.
+The unknowns are one vector x: free parameters of vehicle and road as in `residuals`, delays of sensors [s], and noise. The
+unknown of a noise is the logarithm of its rms, relative to the rms of the signal.
 """
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -21,9 +20,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.random_road import ROUGHNESS, Periodograms, RoadResponse, periodograms, road_values
 from sim.studies.identification.residuals import FURTHEST, Residuals
-from sim.studies.identification.whiteness import LAGS
+from sim.studies.identification.spectra.random_road import ROUGHNESS, Periodograms, RoadResponse, periodograms, road_values
 
 LEAST_NOISE = 1e-4  # smallest noise rms relative to the signal's rms
 FIRST_NOISE = 0.3  # initial noise rms relative to the signal's rms
@@ -149,14 +147,14 @@ class SpectralResiduals(Residuals):
         for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):
             size = math.sqrt(each.weight)
             columns = np.moveaxis(changes, 1, -1).reshape(left.size, len(x))
-            R += [size * columns.real, size * columns.imag]
-            c += [size * left.real.ravel(), size * left.imag.ravel()]
+            R += [size * np.real(columns), size * np.imag(columns)]
+            c += [size * np.real(left).ravel(), size * np.imag(left).ravel()]
         return np.concatenate(R), np.concatenate(c)
 
     def scores(self, x: Array) -> Array:
         """Returns half the gradients of the deviance at each frequency, shape (K of all periodograms, unknowns).
 
-        They are scaled such that the sum of their outer products estimates the covariance of half the gradient, even if the
+        The sum of the outer products of these rows estimates the covariance of the sum of the rows. This is also true if the
         spectra are not as expected.
         """
         rows = list[Array]()
@@ -174,23 +172,20 @@ class SpectralResiduals(Residuals):
         return total
 
     def fits(self, x: Array) -> list[dict[str, float]]:
-        """Returns for each experiment the fit of the rms of each signal in bands with equal numbers of frequencies.
+        """Returns for each experiment the fit of the spectrum of each signal.
 
-        The fit is 1 minus the rms of the differences between measured and expected rms, relative to the signal's rms.
+        The fit is 1 minus the relative difference between measured and expected rms in bands of frequencies. The difference is a
+        root mean square over all bands. The part of it that the scatter of a random road causes is subtracted.
         """
         fits = list[dict[str, float]]()
         for one in self.problem.experiments:
-            pairs = [pair for pair in zip(self.spectra, self.expected(x), strict=True) if pair[0].experiment is one]
-            measured, expected = (
-                np.sqrt([each.powers(matrices[part]) for each, matrices in rows for part in bands(len(matrices))])
-                for rows in ([(each, each.measured) for each, _ in pairs], pairs)
-            )
-            shares = np.linalg.norm(measured - expected, axis=0) / np.linalg.norm(measured, axis=0)
+            rows = list[Array]()
+            for each, E in zip(self.spectra, self.expected(x), strict=True):
+                for part in each.bands if each.experiment is one else ():
+                    measured, expected = each.powers(each.measured[part]), each.powers(E[part])
+                    # relative variance of the rms of independent periodograms
+                    scatter = each.powers(np.abs(E[part]) ** 2) * each.width / (4 * each.weight * expected**2)
+                    rows.append(np.square(np.sqrt(measured / expected) - 1) - scatter)
+            shares = np.sqrt(np.maximum(np.mean(rows, axis=0), 0.0))
             fits.append({name: 1 - share for name, share in zip(one.signals, shares.tolist(), strict=True)})
         return fits
-
-
-def bands(count: int) -> list[slice]:
-    """Returns at most `LAGS` bands of about equal numbers of frequencies."""
-    edges = np.linspace(0, count, min(LAGS, max(1, count // 4)) + 1).astype(int).tolist()
-    return [slice(first, last) for first, last in itertools.pairwise(edges)]

@@ -2,10 +2,10 @@
 
 The search is Fisher's scoring: Newton's method in a trust region, with the expected information as half the second derivative.
 
-Test. If vehicle and road are right, the periodogram of a signal divided by its expected value has an exponential distribution at
-each frequency (a gamma distribution for the mean of several segments). The same is true for the part of a signal that cannot be
-predicted from the other signals. For both ratios, one test compares the means in bands with 1, and another one (Kolmogorov)
-compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
+Test. If vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential distribution at
+each frequency. For the mean of several segments, the distribution is a gamma distribution. The same is true for the part of a
+signal that cannot be predicted from the other signals. For both ratios, one test compares the means in bands with 1, and another
+one (Kolmogorov) compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
 """
 
 import math
@@ -18,14 +18,15 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, list_names
+from models.common.printed import rough
 from models.document.document import Statement
 from models.document.figure import Curve, Figure, Panel
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.experiment import Experiment, signal_units
 from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.random_road import Periodograms
 from sim.studies.identification.search import CHI2, SPREAD, STARTS
-from sim.studies.identification.spectral_residuals import SpectralResiduals, bands
+from sim.studies.identification.spectra.random_road import Periodograms
+from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals
 from sim.studies.identification.structure import information, structure_of
 from sim.studies.identification.whiteness import Whiteness
 
@@ -33,6 +34,8 @@ from sim.studies.identification.whiteness import Whiteness
 # s^2 / 2 times this.
 SETTLED, COARSE = 1e-2, 1.0
 MOST, FEW = 40, 10  # largest number of iterations of a search, and of one from a further starting point
+PARTS = 5  # number of parts of a log that are compared
+UNSTEADY = 2.0  # a log is not steady if the rms in two parts differs by a larger factor
 POOR = 0.5  # if the fit of a signal's spectrum is smaller, other starting points are tried
 
 
@@ -106,6 +109,20 @@ def fits_elsewhere(of: Estimate, experiments: Sequence[Experiment]) -> Iterator[
             other = replace(one, channels=channels)
             residuals = SpectralResiduals(replace(of.problem, first=of.values, experiments=(other,), known=()), ())
             yield other, residuals.fits(residuals.first())[0]
+
+
+def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
+    """Yields remarks on signals whose fast motion changes along a log, because a random road needs a constant speed."""
+    for one in experiments:
+        for channel in one.channels:
+            parts = np.array_split(np.diff(channel.values), PARTS)
+            rms = [float(np.sqrt(np.mean(part**2))) for part in parts]
+            if max(rms) > UNSTEADY * min(rms):
+                factor = rough(max(rms) / min(rms))
+                yield (
+                    f"{one.name}: the rms of the rate of {channel.signal} changes by a factor of {factor} along the log, but the "
+                    "spectra assume a constant speed and one road; choose a part with first and last in the map"
+                )
 
 
 def with_levels(of: SpectralResiduals, x: Array) -> Array:
@@ -196,15 +213,16 @@ def spectral_figure(of: Estimate) -> Figure:
         for one, E in zip(residuals.spectra, residuals.expected(of.x), strict=True):
             if one.experiment is first:
                 # The mean of a periodogram over a band has less scatter than the periodogram.
-                parts = bands(len(E))
                 middle, measured = (
-                    np.array([values[part].mean() for part in parts]) for values in (one.frequencies, one.measured[:, i, i].real)
+                    np.array([values[part].mean() for part in one.bands])
+                    for values in (one.frequencies, np.real(one.measured[:, i, i]))
                 )
                 curves += [
                     Curve(middle, measured, "measured", "#9a9a9a", "none", "o"),
-                    Curve(one.frequencies, E[:, i, i].real, "identified vehicle and road", "#0b5fa5"),
+                    Curve(one.frequencies, np.real(E[:, i, i]), "identified vehicle and road", "#0b5fa5"),
                 ]
-        panels.append(Panel(name, "frequency [Hz]", f"[({units[name]})²/Hz]", tuple(curves), xlog=True, ylog=True))
+        unit = f"({units[name]})" if "/" in units[name] else units[name]
+        panels.append(Panel(name, "frequency [Hz]", f"[{unit}²/Hz]", tuple(curves), xlog=True, ylog=True))
     return Figure("identification", f"Spectra of {first.name} and of the identified vehicle.", tuple(panels), columns=1)
 
 
@@ -219,7 +237,7 @@ def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
     count, deviations, least = len(spectra.frequencies), list[Array](), 1.0
     for ratio in ratios:
         means, sizes = (
-            np.array(one) for one in zip(*((ratio[part].mean(), part.stop - part.start) for part in bands(count)), strict=True)
+            np.array(one) for one in zip(*((ratio[part].mean(), part.stop - part.start) for part in spectra.bands), strict=True)
         )
         shape = sizes * spectra.weight
         # the cube root of a gamma variable is almost normal (Wilson and Hilferty, 1931)

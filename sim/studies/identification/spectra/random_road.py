@@ -14,6 +14,7 @@ leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at
 taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate Anal. 27, 55-83).
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,17 +31,19 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.prediction import LogPrediction, continuous_model
 from sim.studies.identification.problem import IdentificationProblem
+from sim.studies.identification.whiteness import LAGS
 
 ROUGHNESS, WAVINESS = "roughness", "waviness"  # parameters of the road, in addition to those of the vehicle
 ROAD_UNITS: Mapping[str, str] = {ROUGHNESS: "m3", WAVINESS: ""}
 RAMP = 0.1  # share of a segment over which the taper rises, and over which it falls
-# Each band of frequencies has its own length of segments, because resonances at high frequencies are wider: the lower end of the
-# band [Hz], and the longest segment [s]
-BANDS = ((0.0, 60.0), (3.0, 12.0))
+# Each range of frequencies has its own length of segments, because resonances at high frequencies are wider. The numbers are the
+# lower end of the range [Hz] and the longest segment [s].
+RANGES = ((0.0, 60.0), (3.0, 12.0))
 USABLE = 0.39  # largest usable frequency relative to the sampling rate; filters against aliasing act above it
 FIRST = 3  # lowest frequency that is used, in units of 1 / length of a segment
 REACH = 16  # half-width of the taper's spectrum in half-bins
 FEWEST = 20  # smallest number of frequencies
+NARROW = 4  # smallest number of frequencies in a band for fits and tests
 DIFFERENCE = 1e-5  # relative step of finite differences of matrices
 
 
@@ -71,16 +74,31 @@ class Periodograms:
         """Number of independent segments, counted by their information."""
         return self.segments / self.inflation
 
+    @property
+    def width(self) -> float:
+        """Distance between two frequencies [Hz]."""
+        return float(self.frequencies[0]) / self.first
+
     def powers(self, spectra: Array) -> Array:
         """Returns the mean squares of the q signals with spectra at some of the frequencies, shape (q,)."""
-        return np.einsum("kii->i", spectra).real * self.frequencies[0] / self.first
+        return np.real(np.einsum("kii->i", spectra)) * self.width
+
+    @cached_property
+    def bands(self) -> list[slice]:
+        """Bands of frequencies for fits and tests; their widths are about proportional to their frequencies."""
+        last = self.first + len(self.frequencies)
+        edges = [0]
+        for edge in np.geomspace(self.first, last, LAGS + 1)[1:]:
+            place = round(float(edge)) - self.first
+            if place - edges[-1] >= NARROW and last - self.first - place >= NARROW:
+                edges.append(place)
+        return [slice(a, b) for a, b in itertools.pairwise([*edges, last - self.first])]
 
     @cached_property
     def grid(self) -> tuple[Array, Array]:
         """Frequencies of the convolution [Hz], half a bin apart, shape (J,), and True for those below 0, which are mirrored."""
         places = np.arange(2 * self.first - REACH, 2 * (self.first + len(self.frequencies) - 1) + REACH + 1)
-        bin_width = self.frequencies[0] / self.first
-        return np.maximum(np.abs(places), 1) * bin_width / 2, places < 0
+        return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
 
     def expected(self, spectra: Array) -> Array:
         """Returns the expected periodograms, shape (K, ...), of spectra on the grid, shape (J, ...)."""
@@ -126,7 +144,7 @@ def taper(count: int) -> Array:
 
 
 def periodograms(experiment: Experiment) -> Iterator[Periodograms]:
-    """Yields the measured spectra of an experiment in each band.
+    """Yields the measured spectra of an experiment in each range of frequencies.
 
     Raises:
         InputError: the log is too short for the frequencies of the road.
@@ -135,9 +153,9 @@ def periodograms(experiment: Experiment) -> Iterator[Periodograms]:
     assert road is not None
     values = np.stack([one.values for one in experiment.channels], axis=-1)
     low, high = road.lowest * road.speed, min(road.highest * road.speed, USABLE / experiment.step)
-    bands = [one for one in BANDS if one[0] < high]
+    ranges = [one for one in RANGES if one[0] < high]
     total = 0
-    for (start, longest), (end, _) in zip(bands, [*bands[1:], (high, 0.0)], strict=True):
+    for (start, longest), (end, _) in zip(ranges, [*ranges[1:], (high, 0.0)], strict=True):
         segments = max(1, round(len(values) * experiment.step / longest))
         count = len(values) // segments
         window, duration = taper(count), count * experiment.step

@@ -1,0 +1,1 @@
+"""Identification from the spectra of logs of a random road."""
