@@ -15,7 +15,7 @@ from synth.vehicle.designer import design
 from tests.claims.test_verdict import without_motion
 from tests.models.test_vehicle_options import LINKS, TYRES, with_parameters, without_springs
 from tests.support.analysed import energy, simulate
-from tests.support.commands import ROOT
+from tests.support.commands import ROOT, attacks
 from tests.support.faults import built_with, places, scaled
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
@@ -41,7 +41,7 @@ def balance(kind, reality, name, road, timestep) -> Energy:
     ("kind", "reality", "name", "track"),
     [
         ("half_car", "", "I", "both"),
-        ("full_car", "", "I", "left"),
+        *attacks([("full_car", "", "I", "left")]),
         ("half_car", LAG, "I", "both"),
         ("half_car", "\n[implementation]\nsample_period = 0.004\ndelay = 2\n", "I", "both"),
     ],
@@ -138,7 +138,7 @@ def rotor(spec):
     next(tendon for tendon in spec.tendons if tendon.name.startswith("suspension")).armature = 1.0
 
 
-@pytest.mark.parametrize(("kind", "options"), [("quarter_car", False), ("half_car", True), ("full_car", True)])
+@pytest.mark.parametrize(("kind", "options"), [("quarter_car", False), ("half_car", True), *attacks([("full_car", True)])])
 def test_a_wrong_mass_or_spring_of_the_compiled_model_shows(kind, options):
     """A mass, an inertia, a stiffness of the compiled model alone that is 2 % off, or a product term, does not balance.
 

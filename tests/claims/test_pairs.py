@@ -11,7 +11,7 @@ from models.common.errors import InputError
 from tests.support.commands import main_of
 from tests.support.pairs import CHEAP, FEATURES, FILES, REFUSALS, Row, arguments, files, is_file, rows
 
-SUITE, SHARES = 12, 24  # rows in the suite; parts of all rows, each two minutes of processor time
+SUITE, SHARES = 7, 24  # rows in the suite; parts of all rows, each two minutes of processor time
 ATTACKED = range(0, SHARES, 6)  # parts that CI runs
 # A loop that is designed for a band alone hardly decays: by frequency, curves and angles count for more than the sweep allows.
 # Margins extrapolate errors of readings over the timestep, and may be off for a law that answers within one.

@@ -1,6 +1,7 @@
 """The verdict of a run: it agrees if physics is right, over any road, time and step, and does not agree if something is wrong."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -20,7 +21,7 @@ from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer, certify_given
 from tests.support.analysed import predict, simulate
-from tests.support.commands import attacks
+from tests.support.commands import attacks, in_the_suite
 from tests.support.curved import with_curves
 from tests.support.faults import miswritten
 from tests.support.pages import hopper
@@ -151,13 +152,15 @@ def test_geometry_is_asked_of_the_model(tmp_path):
         assert has_geometry(read_vehicle(tmp_path / "hopper.toml")), name
 
 
+TURNING = [*itertools.product(KINDS[1:], (False, True))]
+
+
 def without_motion(vehicle: Vehicle) -> Vehicle:
     """The vehicle as a custom type without equations of motion."""
     return dataclasses.replace(vehicle, kind=dataclasses.replace(vehicle.kind, motion=None))
 
 
-@pytest.mark.parametrize("own", [False, True])
-@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize(("kind", "own"), in_the_suite([("half_car", False), ("full_car", True)], TURNING))
 def test_a_car_that_turns_about_its_centre_agrees(kind, own):
     """Measurements off its axis are geometry, with equations of motion or without; a body heavier by a ten-thousandth is not."""
     car = without_motion(about_its_centre(kind)) if own else about_its_centre(kind)

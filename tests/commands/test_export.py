@@ -191,7 +191,7 @@ def test_whole_numbers_limit_the_rate(numbers):
 
 
 @needs_cc
-@pytest.mark.parametrize("seed", [0, 5, *attacks([1, 2, 3, 4])])  # 5: rate limit and anti-windup
+@pytest.mark.parametrize("seed", [5, *attacks([0, 1, 2, 3, 4])])  # 5: rate limit and anti-windup
 def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
     """For a random law every output of the compiled code is that of Python to the last bit, in floating and in fixed point."""
     for numbers in NUMBERS:

@@ -28,7 +28,7 @@ from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.plant.state_space import StateSpace
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW
-from tests.support.commands import in_the_suite, prose
+from tests.support.commands import attacks, in_the_suite, prose
 
 COMPILER = shutil.which("cc")
 pytestmark = pytest.mark.skipif(COMPILER is None and find_spec(ZIG) is None, reason="no C compiler is here")
@@ -171,7 +171,7 @@ def test_a_description_has_names_units_and_signs(folder):
 
 
 @pytest.mark.extra
-@pytest.mark.parametrize("name", ["law2", "law3", "float2"])
+@pytest.mark.parametrize("name", ["law2", "law3", *attacks(["float2"])])
 def test_a_controller_has_our_bits(folder, name):
     """Of two instances, stepped in turn, every output is ours to the last bit; after a reset one begins anew."""
     numbers = "float" if name == "float2" else "double"

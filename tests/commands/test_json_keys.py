@@ -19,7 +19,7 @@ from tests.support.commands import in_the_suite
 
 FILE = Path(__file__).with_name("json_keys.txt")
 LONG = {("synth", "front"), ("synth", "goals"), ("synth", "rates"), ("sim.sweep", "limits"), ("sim.margins", "limits")}
-LONG |= {("sim recommend", "plain")}
+LONG |= {("sim recommend", "plain"), ("sim.report", "limits")}
 EVERY = [(command, case) for command, cases in CASES.items() for case in cases]
 NAMES = "|".join([*VEHICLE.parameters, *(signal.name for signal in VEHICLE.kind.signals), "(?<=^gain-).*"])
 

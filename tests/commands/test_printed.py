@@ -38,7 +38,7 @@ timestep = 2e-3
 ALL = "--controller all --timestep 4e-3 --duration 0.2"
 SCREEN = {  # command lines, with the vehicles that the suite asks it of, and those that the attacks do
     "synth": "quarter_car_semi_active built / quarter_car_accelerometer quarter_car_goals half_car full_car",
-    f"sim.bump {ALL} --no-logs": "full_car /",
+    f"sim.bump {ALL} --no-logs": "half_car / full_car",
     f"sim.bump {ALL} --logs logs": "/ quarter_car quarter_car_accelerometer quarter_car_semi_active half_car built",
     "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs": "built /",
     f"sim.drive {ALL} --class E --no-logs": "built / full_car",

@@ -106,7 +106,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("of", LAWS)
+@pytest.mark.parametrize("of", in_the_suite(["a slow computer", "a slow mode"], LAWS))
 def test_lines_and_signals_of_settled_runs_are_the_same(paper, of):
     """The line that is fitted to a run that has not settled is that of the last periods of a settled one, and as predicted."""
     vehicle = parse_vehicle(f"{paper.text}\n{LAWS[of]}")

@@ -31,7 +31,7 @@ from sim.studies.ride.metrics import Meter, measure
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
 from tests.support.analysed import simulate_inputs as simulate
-from tests.support.commands import prose
+from tests.support.commands import attacks, prose
 from tests.support.mechanism import straight
 
 CORNERS = {
@@ -143,8 +143,9 @@ def test_a_design_reaches_the_same_norm():
     assert norm_of(arm, "state") == pytest.approx(norm_of(replace(wheel, performance=priced), "state"), rel=1e-5)
 
 
-@pytest.mark.parametrize("sort", ["dampers", "measured"])
-@pytest.mark.parametrize("turning", [False, True], ids=["constant", "over travel"])
+@pytest.mark.parametrize(
+    ("sort", "turning"), [("dampers", False), ("measured", True), *attacks([("dampers", True), ("measured", False)])]
+)
 def test_a_damper_is_set_by_its_own_velocity(sort, turning):
     """The coefficient is the nearest one to c_s - u* / h(r v), with the numbers of the file."""
     text = (over_travel("quarter_car", sort) if turning else car("quarter_car", sort)).text.replace("bandwidth = 200.0", "")
@@ -233,7 +234,7 @@ def test_actuators_over_travel(kind, lag):
     assert measure(vehicle, run.physics, 0)[name.replace("force", "power")] == pytest.approx(power, rel=1e-12)
 
 
-@pytest.mark.parametrize("sort", ["dampers", "measured"])
+@pytest.mark.parametrize("sort", ["measured", *attacks(["dampers"])])
 def test_semi_active_laws_over_travel(sort, monkeypatch):
     """Every law runs with a lagging valve and with curves; a damper's velocity that is 2 % off as it is measured is found."""
     vehicle = over_travel("quarter_car", sort)
@@ -311,7 +312,7 @@ def test_headings_decide_the_sign(tmp_path):
     assert {"deflection": table.x.tolist(), "ratio": table.ratio.tolist()} == TABLE
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
+@pytest.mark.parametrize("kind", ["quarter_car", *attacks(["full_car"])])
 def test_a_payload_over_travel(kind):
     """It sinks to where r (N - k D) is the laden load; ratio, wheel rate and strokes are those of that travel."""
     text = over_travel(kind, "dampers").text

@@ -30,7 +30,7 @@ from sim.linear.sampled_response import sampled_response, taylor4
 from sim.runs.run import sample_times
 from synth.vehicle.designer import Designer
 from tests.support.analysed import Runs, simulate
-from tests.support.commands import environment, in_the_suite, main_of, prose
+from tests.support.commands import attacks, environment, in_the_suite, main_of, prose
 from tests.support.curved import DIGRESSIVE, with_curves
 from tests.support.pages import site
 
@@ -197,7 +197,7 @@ class Kept:
         return lambda t, y: self.inner(y)
 
 
-@pytest.mark.parametrize("law", [Kept(), Kept().method, partial(Kept().method), Kept().inner_law()])
+@pytest.mark.parametrize("law", [Kept(), Kept().inner_law(), *attacks([Kept().method, partial(Kept().method)])])
 def test_a_law_starts_anew_in_every_run(law):
     """What a closure or an object keeps belongs to one run: the second run of the same one is the same, to the last bit."""
     vehicle, road = read_vehicle("quarter_car"), Bump(height=0.05)

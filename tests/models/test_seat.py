@@ -14,7 +14,7 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import expected_ride
-from tests.support.commands import refused
+from tests.support.commands import in_the_suite, refused
 from tests.support.faults import built_with
 from tests.support.mechanism import CORNERS, axle, places
 from tests.support.shared import designed
@@ -50,7 +50,7 @@ def test_a_step_and_the_ride_of_the_person_have_their_closed_values():
     assert np.abs(start).max() == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", in_the_suite(["quarter_car", "full_car"], PLACES))
 def test_rest_energy_and_faults(name):
     """Tyres carry all weights; MuJoCo agrees and energy balances; a seat spring that is 2 % off is found."""
     vehicle = seated(name)

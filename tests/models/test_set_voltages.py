@@ -19,6 +19,7 @@ from sim.runs.sampled_vehicle import with_sample
 from synth.controller.controller import Controller
 from synth.vehicle.designer import driver_of
 from tests.support.analysed import simulate_inputs as simulate
+from tests.support.commands import attacks
 from tests.support.mechanism import G
 
 N = {"alpha": 4e3, "per": 2.4e4, "c0": 250.0, "c0_per": 150.0, "c1": 5e3, "c1_per": 2e3, "k0": 3e3, "k1": 400.0}
@@ -120,7 +121,11 @@ def test_a_run_is_an_independent_integration(law):
     assert wrong.max() > 1e-2
 
 
-@pytest.mark.parametrize(("kind", "more"), [*zip(KINDS, (OF_FILE, f"{OF_FILE}bandwidth = 120.0\n", OF_FILE), strict=True)])
+# The loss of a Bouc-Wen element with a set voltage is also in the next test.
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [("modified_bouc_wen", f"{OF_FILE}bandwidth = 120.0\n"), ("dahl", OF_FILE), *attacks([("bouc_wen", OF_FILE)])],
+)
 def test_the_nonlinear_response_and_the_verdict_are_those_of_mujoco(kind, more):
     """On a quarter-car through a rocker the gain's nonlinear response is MuJoCo's run; the run passes, and takes energy."""
     vehicle = car(kind, more, f"{TIMED[:-1]}\ndelay = 1.0\n{R}")

@@ -128,7 +128,7 @@ ATTACKED = ("strut full_car", "links on the ground", "bars", "tyres half_car")
 @pytest.mark.parametrize(
     "case",
     in_the_suite(
-        [case for case in CASES if case not in ("strut full_car", "links on the ground", "bars", "tyres half_car")], CASES
+        ["tracks", "links half_car", "wheels' own inertia", "tyres quarter_car", "strut quarter_car", "strut half_car"], CASES
     ),
 )
 def test_steps_are_those_of_the_exact_equations(case):

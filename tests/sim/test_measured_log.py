@@ -126,16 +126,16 @@ def test_command(command, capsys, tmp_path, monkeypatch):
     """Both commands print the fits, log the measured signals, and prove them; a changed fit is found."""
     monkeypatch.chdir(tmp_path)
     road = ("--road", "bump", "--speed", "12.5") if command == "drive" else ()
-    options = ("--controller", "I", *road, "--duration", "1")
+    options = ("--controller", "I", *road, "--duration", "0.4")
     main_of(f"sim.{command}")([*options, "--no-logs", "--csv", "run.csv"])
     text = (tmp_path / "run.csv").read_text()
     (tmp_path / "rig.csv").write_text(text.replace("suspension_deflection I mujoco", "Suspension Deflection"))
     options = (*options, "--beside", "rig.csv", "--beside-column", "sprung_acceleration=sprung_acceleration I mujoco [m/s2]")
     result = answer(capsys, main_of(f"sim.{command}"), *options, "--logs", "logs")
     assert {name: fit["fit"] for name, fit in result["runs"][0]["beside"].items()} == dict.fromkeys(SIGNALS[::-1], 1.0)
-    assert (result["beside"]["file"], result["beside"]["start"], result["beside"]["last"]) == ("rig.csv", 0.0, 1.0)
+    assert (result["beside"]["file"], result["beside"]["start"], result["beside"]["last"]) == ("rig.csv", 0.0, 0.4)
     assert main_of(f"sim.{command}")([*options, "--no-logs"]) == 0
-    assert "fit = 1 - rms(measured - MuJoCo) / rms(measured), from 0 to 1 s" in capsys.readouterr().out
+    assert "fit = 1 - rms(measured - MuJoCo) / rms(measured), from 0 to 0.4 s" in capsys.readouterr().out
     (path,) = tmp_path.glob("logs/*.mcap")
     log = read_log(path)
     assert log.runs[0].responses[MEASURED_TOPIC].names == SIGNALS[::-1]

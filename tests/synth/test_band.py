@@ -13,6 +13,7 @@ from synth.analysis.band_norm import norm_in_band
 from synth.analysis.norm import hinf_norm
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import DesignError
+from tests.support.commands import attacks
 from tests.synth.test_norm import oscillator, system
 
 LOW, HIGH = 2 * np.pi * 4.0, 2 * np.pi * 8.0
@@ -93,7 +94,7 @@ def dense_maximum(plant: GeneralizedPlant, low: float, high: float) -> float:
     return float(np.linalg.norm(plant.frequency_response(grid), 2, axis=(1, 2)).max())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, *attacks([2])])
 def test_no_frequency_of_the_band_is_higher(seed):
     """On random loops and bands no gain of a dense grid exceeds the value, and one comes close; none exceeds the level.
 

@@ -233,7 +233,7 @@ def test_a_trade(seed):
         assert best.certificate.norm.value <= each.norm * 1.0011  # as near as what is next to the best, and rounding
 
 
-@pytest.mark.parametrize("seed", in_the_suite((3, 5), range(8)))
+@pytest.mark.parametrize("seed", in_the_suite((3,), range(8)))
 def test_central_law(seed):
     """A law for gamma has a norm below it, with feed-through from w to z, and none is refused far above what is reached."""
     rng = np.random.default_rng(seed)

@@ -111,8 +111,8 @@ def close(found, expected):
 
 @pytest.mark.parametrize("kind", range(1, len(KINDS)))
 def test_responses_are_simulations(kind):
-    """150 sampled loops, prompt, slower and late by fractions: every output over time, and by frequency, is the simulation's."""
-    for seed in range(kind, 200, len(KINDS)):
+    """75 sampled loops, prompt, slower and late by fractions: every output over time, and by frequency, is the simulation's."""
+    for seed in range(kind, 200, 2 * len(KINDS)):
         loop, rng = drawn_loop(seed), np.random.default_rng(seed)
         mine, T = Simulation(loop), 40 + seed % 3  # part of a period is left
         inputs = {name: rng.standard_normal((2, T)) for name in (*loop.disturbances, *loop.forces)}

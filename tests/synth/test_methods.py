@@ -67,7 +67,7 @@ def is_two_step(entry: ControllerEntry) -> bool:
     return entry.source.request is not None and entry.request.two_steps and entry.goals is None
 
 
-@pytest.mark.parametrize("name", in_the_suite(["quarter_car", "full_car"], shipped_vehicles()))
+@pytest.mark.parametrize("name", in_the_suite(["quarter_car", "half_car"], shipped_vehicles()))
 def test_no_shipped_car_is_degenerate(name, monkeypatch):
     """The two steps of a vehicle that ships enter nothing that is for plants without an optimum."""
     monkeypatch.setattr(degenerate, "regularise_problem", None)

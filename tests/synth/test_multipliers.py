@@ -79,7 +79,7 @@ def test_random_boxes():
     """What multipliers prove is stable at every sample of the box, and what is stable at every sample by a hundredth of its
     fastest rate is proved, and so is a bound close above the largest norm found: in odd units of length and of time."""
     proved, stable, loose = 0, 0, list[float]()
-    for seed in range(24):
+    for seed in range(15):
         generator = np.random.default_rng(seed)
         gain = _random(seed, generator.uniform(0.05, 0.5), 0.2 * (seed % 3 > 0))
         box = box_of(gain, generator.uniform(0, 0.5), generator.uniform(0, 0.2))
@@ -93,7 +93,7 @@ def test_random_boxes():
             local_maximum(heights, box)
             bound = bound_in_band(gain, box, 0.0, np.inf, heights.highest * (1 + NEAR))
             loose.append(np.inf if bound is None else bound.bound / heights.highest - 1)
-    assert stable > 5  # enough to speak of
+    assert stable > 3  # enough to speak of
     assert proved == stable
     assert sorted(loose)[len(loose) * 3 // 4] < 1.1 * NEAR
     assert max(loose) < 0.05  # multipliers are tight for two errors, and almost for more

@@ -119,7 +119,7 @@ def test_what_every_zero_says_alike_is_the_norm():
         assert gamma == pytest.approx(0.7, rel=2e-6)  # the second of SHORT
 
 
-@pytest.mark.parametrize("seed", [*range(4), *attacks(range(4, 12))])
+@pytest.mark.parametrize("seed", [0, 3, *attacks([1, 2, *range(4, 12)])])
 def test_what_points_prove_is_no_more(seed):
     """Whatever points are named as zeros, none proves more than the zeros do where all are there, in any units."""
     plant, Cy = a_plant(KIND, seed)
