@@ -53,9 +53,9 @@ exit code: 0 every claim holds, or the output shows how MuJoCo left the linear r
 designed, or every run of a law diverged, so that nothing is measured; 2 invalid input
 
 examples:
-  python -m sim.sweep --picture sweep.png
-  python -m sim.sweep --controller I --amplitude 0.05
-  python -m sim.sweep --vehicle half_car --controller all --json
+  roadproof sweep --picture sweep.png
+  roadproof sweep --controller I --amplitude 0.05
+  roadproof sweep --vehicle half_car --controller all --json
 """
     page = "docs/how-to/sweep.md"
     takes = "several"
@@ -114,12 +114,17 @@ examples:
     def lines(self, request: StudyRequest, result: Responses, files: Sequence[str]) -> list[str]:
         from models.document.document import Table
         from models.document.text import text_lines
-        from sim.studies.frequency.report import workshop
+        from sim.studies.frequency.report import summarize, workshop
 
-        vehicle, verbose, document = request.vehicle, request.options.verbose, self.describe(request, result)
-        shown = [one for one in document.blocks if not (isinstance(one, Table) and one.name == "signals")]
-        _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose else "normal")
-        if verbose and result.sweeps:
+        vehicle, verbose = request.vehicle, request.options.verbose
+        several = verbose and len(result.sweeps) + len(result.own) > 1
+        document = self.describe(request, replace(result, own=()) if several else result)
+        shown = [one for one in document.blocks if not (isinstance(one, Table) and (several or one.name == "signals"))]
+        _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose and not several else "normal")
+        if several:
+            lines += text_lines(summarize(result.sweeps, result.own))[1:]
+            lines.append("  not shown (--controller NAME -v, or --json): gains, signals, tyre loads")
+        elif verbose and result.sweeps:
             lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
         elif result.sweeps:
             lines.append("  -v adds invariants, norms and EUSAMA's minimum loads")
