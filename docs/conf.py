@@ -1,5 +1,6 @@
 """Configuration of the site. `python -m sphinx -W docs docs/_build` builds it; `generate.py` writes the generated pages."""
 
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,6 +49,15 @@ def escape_bars(app: Sphinx, what: str, name: str, owner: object, options: objec
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
+def omit_summaries(app: Sphinx, name: str, source: list[str]) -> None:
+    """Omits the table of summaries from the pages of the Python API, because each docstring on these pages repeats its summary.
+
+    The pages in the repository keep this table: GitHub shows no docstrings.
+    """
+    if "```{eval-rst}\n.. auto" in source[0]:
+        source[0] = re.sub(r"\n\| name \| summary \|\n(?:\|.*\n)+", "\n", source[0])
+
+
 def write_pages(app: Sphinx) -> None:
     """Writes the generated pages and drawings next to the handwritten pages."""
     pages = generate.pages() | {"reference/logs": generate.log_page()}
@@ -73,5 +83,6 @@ def setup(app: Sphinx) -> None:
     """Connects the formulas, the generated pages and the redirects."""
     app.add_html_math_renderer("mathml", inline_renderers=(mathml, None), block_renderers=(mathml, None))
     app.connect("builder-inited", write_pages)
+    app.connect("source-read", omit_summaries)
     app.connect("build-finished", write_redirects)
     app.connect("autodoc-process-docstring", escape_bars)

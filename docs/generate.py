@@ -242,7 +242,7 @@ def section_keys(section: type[schema.Section]) -> list[tuple[str, str, str]]:
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
     sections = {
-        f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
+        f"{PARAMETERS}{name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
         for name in kinds()
     }
     sections["[performance]"] = [("road", "", "filter from the disturbance w to the road velocity under every wheel")]
@@ -284,16 +284,31 @@ def default(parameter: Any) -> str:
     return f"; default {parameter.usual:g}" if parameter.usual is not None else ""
 
 
+PARAMETERS = "[parameters] of a "
+COLUMNS = "key", "unit", "meaning", "used in"
+
+
 def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
     text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`. '
     text += "The last column links to a page that shows the key in use.\n"
-    for section, keys in key_sections().items():
-        rows = [
+    written = {
+        section: [
             (code(names), unit, cell(meaning) if "`" not in meaning else meaning, shown_in(names[0]))
             for names, unit, meaning in of_both_sides(keys)
         ]
-        text += f"\n## {section}\n\n{table(('key', 'unit', 'meaning', 'used in'), rows)}"
+        for section, keys in key_sections().items()
+    }
+    of_types = {section: rows for section, rows in written.items() if section.startswith(PARAMETERS)}
+    types: dict[tuple[str, ...], list[str]] = {}
+    for section, rows in of_types.items():
+        for row in rows:
+            types.setdefault(row, []).append(f"`{section.removeprefix(PARAMETERS)}`")
+    common = [(*row, ", ".join(some)) for row, some in types.items() if len(some) > 1]
+    text += f"\n## [parameters] of several vehicle types\n\n{table((*COLUMNS, 'types'), common)}"
+    for section, rows in written.items():
+        own = [row for row in rows if section not in of_types or len(types[row]) == 1]
+        text += f"\n## {section}\n\n{table(COLUMNS, own)}"
     return text
 
 

@@ -23,11 +23,11 @@ exit code: 0 MuJoCo and linear analysis agree for every controller, every closed
 disagree, a loop is unstable (not with --allow-unstable), or a controller cannot be designed; 2 invalid input
 
 examples:
-  python -m sim.bump --controller I
-  python -m sim.bump --controller I --controller II --height 0.05
-  python -m sim.bump --controller all --serve
-  python -m sim.bump --controller mine --vehicle my_car.toml --json
-  python -m sim.bump --controller mine --vehicle my_car.toml --vehicle van.toml --without noise
+  roadproof bump --controller I
+  roadproof bump --controller I --controller II --height 0.05
+  roadproof bump --controller all --serve
+  roadproof bump --controller mine --vehicle my_car.toml --json
+  roadproof bump --controller mine --vehicle my_car.toml --vehicle van.toml --without noise
 """
 
 

@@ -25,9 +25,9 @@ Better TOML) or Neovim (Taplo) then complete keys, show their meanings and units
 exit code: 0 the file is written; 2 invalid input
 
 examples:
-  python -m sim.new my_car.toml
-  python -m sim.new my_full_car.toml --type full_car
-  python -m sim.new my_half_car.toml --type half_car --schema
+  roadproof new my_car.toml
+  roadproof new my_full_car.toml --type full_car
+  roadproof new my_half_car.toml --type half_car --schema
 """
 
 
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     path: Path | None = options.file
     if path is None and not options.schema:
-        raise InputError("FILE is missing; give the file to write, as in python -m sim.new my_car.toml")
+        raise InputError("FILE is missing; give the file to write, as in roadproof new my_car.toml")
     written, schema = dict[str, str](), (path.parent if path else Path()) / f"{options.type}.schema.json"
     if path is not None:
         if path.exists():
@@ -76,6 +76,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if path is not None:
         name = pasted_path(path)
         print(f"wrote {name}; replace its numbers with those of your car, then run")
-        print(f"  python -m synth --vehicle {name}")
-        print(f"  python -m sim.drive --vehicle {name} --class C --controller all")
+        print(f"  roadproof synth --vehicle {name}")
+        print(f"  roadproof drive --vehicle {name} --class C --controller all")
     return 0

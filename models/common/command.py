@@ -55,7 +55,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             prog=self._called(f"python -m {prog}"),
             description=_page(description),
-            epilog=_page(f"{self._called(epilog).rstrip()}\n\nexplanation of the printed output: {self.page}"),
+            epilog=_page(f"{epilog.rstrip()}\n\nexplanation of the printed output: {self.page}"),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -114,7 +114,7 @@ class Parser(argparse.ArgumentParser):
         _remarks.clear()
         start = namespace or argparse.Namespace()
         start.given = set()
-        start.command_line = shlex.join(["python", "-m", *self.module.split(), *args])
+        start.command_line = shlex.join(["roadproof", re.split("[. ]", self.module)[-1], *args])
         return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:
@@ -207,7 +207,7 @@ class Parser(argparse.ArgumentParser):
         printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
     def add_exported(
-        self, what: str = "run the controller as compiled code from this folder, which python -m synth --export wrote"
+        self, what: str = "run the controller as compiled code from this folder, which roadproof synth --export wrote"
     ) -> None:
         """Adds the option `--as`."""
         self.add_argument("--as", dest="exported", type=Path, metavar="DIR", help=what)

@@ -180,20 +180,27 @@ def fit_lines(lines: Iterable[str]) -> list[str]:
 
 
 LINES = 24  # number of lines that a terminal shows
+DETAIL_LINES = 40  # largest number of lines with `-v`
 # Up to this number of controllers, each controller has its own statements; with more, the output would not fit into a terminal
 FEW = 3
 
 
-def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:
+def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = LINES, source: str = "-v prints") -> list[str]:
     """Returns the sentences that fit on a terminal together with other lines, and a line with the number of omitted sentences.
 
     The first sentence is always included.
+
+    Args:
+        sentences: the sentences.
+        others: lines that are printed together with the sentences.
+        most: largest number of lines.
+        source: beginning of the line about omitted sentences.
     """
-    room, lines = LINES - len(fit_lines(others)), list[str]()
+    room, lines = most - len(fit_lines(others)), list[str]()
     for i, sentence in enumerate(sentences):
         more = len(sentences) - i - 1
         if i and len(lines) + len(fit_lines([sentence])) + bool(more) > room:
-            return [*lines, f"-v prints {more + 1} more sentence{'s' * bool(more)}"]
+            return [*lines, f"{source} {more + 1} more sentence{'s' * bool(more)}"]
         lines += fit_lines([sentence])
     return lines
 

@@ -18,10 +18,11 @@ ENDINGS = {  # suffixes that the file name of each output may have, and the reas
     "save": ((".toml",), "a vehicle file is TOML"),
     "vehicle": ((".toml",), "vehicle files and maps are TOML"),
 }
-CHECKED_BY = "# checked by: python -m synth --check THIS_FILE"
+CHECKED_BY = "# checked by: roadproof synth --check THIS_FILE"
 CAMPAIGN_SUM = "# SHA-256 of the campaign and the files that it names: "
 IDENTIFIED = "# 95 % intervals [SI] of roadproof identify"
-SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM, IDENTIFIED)  # every saved vehicle file contains one of these comments
+# every saved vehicle file contains one of these texts; older files contain `python -m synth` instead of `roadproof synth`
+SAVED_COMMENTS = (CHECKED_BY.partition("roadproof ")[2], CAMPAIGN_SUM, IDENTIFIED)
 TEXTS = ("csv", "save")  # outputs that may be written to standard output
 OF_FIGURES = (*SUFFIXES, ".csv")
 

@@ -30,13 +30,13 @@ designed, or no controller is within the limits of --subject-to; 2 invalid input
 are kept
 
 examples:
-  python -m sim.campaign campaign.toml
-  python -m sim.campaign campaign.toml --results /data/campaign --workers 8 --json
-  python -m sim.campaign campaign.toml --ray auto
-  python -m sim.campaign campaign.toml --part 3/40
-  python -m sim.campaign campaign.toml --merge
-  python -m sim.campaign campaign.toml --best ride --subject-to peak_travel:0.08 --save tuned.toml
-  python -m sim.campaign --verify campaign-results
+  roadproof campaign campaign.toml
+  roadproof campaign campaign.toml --results /data/campaign --workers 8 --json
+  roadproof campaign campaign.toml --ray auto
+  roadproof campaign campaign.toml --part 3/40
+  roadproof campaign campaign.toml --merge
+  roadproof campaign campaign.toml --best ride --subject-to peak_travel:0.08 --save tuned.toml
+  roadproof campaign --verify campaign-results
 """
 
 

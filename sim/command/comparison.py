@@ -90,12 +90,12 @@ def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
         if one.false_claims:
             complain(
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}); "
-                "the gain is used nevertheless; python -m synth --check explains this"
+                "the gain is used nevertheless; roadproof synth --check explains this"
             )
         if missed := [promise.text for promise in one.specifications if not promise.holds]:
             complain(
                 f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}); it is "
-                "used nevertheless; python -m synth explains this"
+                "used nevertheless; roadproof synth explains this"
             )
 
 

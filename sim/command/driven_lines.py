@@ -7,12 +7,12 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from models.common.extensions import FEATURES
-from models.common.printed import FEW, title_lines
+from models.common.printed import DETAIL_LINES, FEW, GAP, fit_lines, title_lines, wrap_text
 from models.document.document import Document, Statement, notes, statements
-from models.document.text import text_lines
+from models.document.text import table_lines, text_lines
 from sim.command.driven import VehicleRuns
 from sim.command.road_options import end_lines, starts_later
-from sim.runs.report import describe_run, sentences, share_statements, verdicts
+from sim.runs.report import checks_table, describe_run, sentences, share_statements, verdicts
 from sim.runs.run import Run
 from sim.studies.ride.score_table import score_lines
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
@@ -33,7 +33,7 @@ def driven_lines(
 ) -> list[str]:
     """Returns the printed lines of a command: title, findings, table of controllers, further lines, and verdicts.
 
-    With `-v`, the table comes first, and every run follows in full.
+    With `-v`, the table comes first. A single run follows in full, and several runs follow in one table of norms and checks.
 
     Args:
         options: options from the command's parser.
@@ -56,7 +56,8 @@ def driven_lines(
     if metrics and not options.brief:
         ride = FEATURES.load("ride of a run")
         found = text_lines(ride.summary(shown, metrics))
-    if verbose:
+    alone = verbose and len(shown) == 1
+    if alone:
         for each in driven:
             for run, plain, own in zip_longest(each.named_runs, each.runs, each.metrics):
                 one = describe_run(run, None if run.physics is each.passive else each.passive)
@@ -66,22 +67,41 @@ def driven_lines(
                     below_table += [{"vehicle": each.title} | cells for cells in ride.expected_cells(plain, own)]
                 details += ["", *text_lines(replace(one, blocks=blocks), "full")]
     elif not options.brief:
-        details += _finding_lines(shown)
+        details += _finding_lines(shown, verbose)
         if ride is not None:
             left = [(run.controller.name, Statement(line)) for run in shown for line in ride.broken_off_sentence(run)]
             details += text_lines(Document("", share_statements(left)))
     lines += [] if verbose else [*details, *([""] if found else []), *found]
     if response.blocks and not options.brief:
-        lines += ["", *text_lines(response, "full" if verbose else "normal")]
+        lines += ["", *text_lines(response, "full" if alone else "normal")]
     more = "; -v prints more" if len(shown) > FEW and not (verbose or options.brief) else ""
     lines += ["", *score_lines(scores, f"MuJoCo, {about}{more}", below_table)]
+    end = [*below, "", *text_lines(Document("", verdicts(shown)))]
     if verbose:
         if ride is not None:
             rough = dict.fromkeys(ride.roughness_sentence(each.runs[0]) for each in driven)
             angles = ride.summary(shown, metrics).tables
             lines += [*text_lines(Document("", notes(*filter(None, rough)))), *text_lines(Document("", angles))]
         lines += details
-    return [*lines, *below, "", *text_lines(Document("", verdicts(shown)))]
+        lines += [] if alone else _check_lines(shown, [*lines, *end])
+    return [*lines, *end]
+
+
+def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
+    """Returns the printed table of norms and checks, with as many runs as fit, and a line about the omitted details.
+
+    Args:
+        runs: all runs.
+        others: lines that are printed together with the table.
+    """
+    for count in range(len(runs), 0, -1):
+        rest = f", {len(runs) - count} controllers" if count < len(runs) else ""
+        one = checks_table(runs[:count])
+        more = f"not shown (--controller NAME -v, or --json): gains, every signal{rest}"
+        lines = ["", *table_lines(one), *wrap_text(one.caption, GAP, len(GAP)), *fit_lines([more])]
+        if len(fit_lines(others)) + len(lines) <= DETAIL_LINES:
+            break
+    return lines
 
 
 def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]:
@@ -94,7 +114,7 @@ def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]
     return lines
 
 
-def _finding_lines(runs: Sequence[Run]) -> list[str]:
+def _finding_lines(runs: Sequence[Run], verbose: bool) -> list[str]:
     """Returns the printed lines about runs, above the table that compares the controllers.
 
     For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
@@ -107,4 +127,5 @@ def _finding_lines(runs: Sequence[Run]) -> list[str]:
         margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
         lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
-    return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []
+    more = ["-v adds gains, every signal and the checks behind the verdict"] if few and not verbose else []
+    return ["", *lines, *more] if lines else []

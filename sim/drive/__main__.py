@@ -17,17 +17,17 @@ disagree, a loop is unstable (not with --allow-unstable), or a controller cannot
 or fully compresses a tyre ends early, and has no metrics.
 
 examples:
-  python -m sim.drive --controller I --class C --speed 20
-  python -m sim.drive --controller passive --controller I --road pothole:depth=0.06:length=1.5 --speed 10
-  python -m sim.drive --controller I --road step:height=0.04 --band 5
-  python -m sim.drive --controller I --road measured.csv --speed 15 --json
-  python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
-  python -m sim.drive --vehicle full_car --controller I --class B --seed 7
-  python -m sim.drive --vehicle my_car.toml --vehicle van.toml --controller all --class C --speed 25
-  python -m sim.drive --vehicle my_car.toml --controller mine --road bump --without noise --without delay
-  python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
-  python -m sim.drive --vehicle my_car.toml --controller mine --road bump --beside rig.lvm --beside-start 2.35
-  python -m sim.drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
+  roadproof drive --controller I --class C --speed 20
+  roadproof drive --controller passive --controller I --road pothole:depth=0.06:length=1.5 --speed 10
+  roadproof drive --controller I --road step:height=0.04 --band 5
+  roadproof drive --controller I --road measured.csv --speed 15 --json
+  roadproof drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
+  roadproof drive --vehicle full_car --controller I --class B --seed 7
+  roadproof drive --vehicle my_car.toml --vehicle van.toml --controller all --class C --speed 25
+  roadproof drive --vehicle my_car.toml --controller mine --road bump --without noise --without delay
+  roadproof drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
+  roadproof drive --vehicle my_car.toml --controller mine --road bump --beside rig.lvm --beside-start 2.35
+  roadproof drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
 """
 
 

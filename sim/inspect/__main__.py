@@ -19,11 +19,11 @@ The command runs the logged vehicle again, compares the signals and results, and
 exit code: 0 the log still proves its claims; 1 it does not; 2 invalid input; for several logs, the largest code
 
 examples:
-  python -m sim.inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
-  python -m sim.inspect logs/*.mcap
-  python -m sim.inspect LOG.mcap --csv signals.csv
-  python -m sim.inspect LOG.mcap --json
-  python -m sim.inspect hopper.mcap --kinds my_vehicles
+  roadproof inspect logs/bump-quarter_car-I-20261121T072417Z.mcap
+  roadproof inspect logs/*.mcap
+  roadproof inspect LOG.mcap --csv signals.csv
+  roadproof inspect LOG.mcap --json
+  roadproof inspect hopper.mcap --kinds my_vehicles
 """
 
 
@@ -65,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.csv is not None:
             write_signals(options.csv, proof)
         if alone or options.verbose:
-            lines += [*text_lines(describe(proof), "full" if options.verbose else "normal"), *([] if alone else [""])]
+            document = describe(proof, in_table=options.verbose and len(proof.runs) > 1)
+            lines += [*text_lines(document, "full" if options.verbose else "normal"), *([] if alone else [""])]
         else:
             lines += short_line(proof)
         if not options.json:

@@ -48,7 +48,7 @@ REPLAY_TOLERANCE = 1e-7  # difference that is allowed between MuJoCo runs on two
 OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims in a log that `_check_certificate` checks
 # errors that are raised if a number or a key of a logged run is invalid
 WRONG = (ValueError, ArithmeticError, TypeError, LookupError)
-GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with python -m synth"
+GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with roadproof synth"
 EARLIER = "an earlier version with other numbers for semi-active laws wrote the log; inspect the log with that version"
 NOT_RUN = "the attached law was not executed; the logged forces were applied"
 

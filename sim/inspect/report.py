@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from sim.inspect.proof import InspectedRun, Proof
 from sim.inspect.replay import as_response, controller_states
 from sim.recording.run_log import MUJOCO, SAMPLED
 from sim.runs.record import RUN, controller_record
-from sim.runs.report import verdict
+from sim.runs.report import checks_table, share_statements, verdict, verdicts
 from sim.runs.signal_table import run_columns, write_columns
 
 INSPECTION_RECORD = Record[InspectedRun](
@@ -39,8 +40,13 @@ RECORD = Record[Proof](
 )
 
 
-def describe(proof: Proof) -> Document:
-    """Returns the printed document: the log, the findings about log and runs, and whether the log proves its claims."""
+def describe(proof: Proof, in_table: bool = False) -> Document:
+    """Returns the printed document: the log, the findings about log and runs, and whether the log proves its claims.
+
+    Args:
+        proof: the log and its findings.
+        in_table: True for a table of runs instead of a document about each run.
+    """
     log, vehicle = proof.log, proof.vehicle
     about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]
     versions = ", ".join(f"{name} {version}" for name, version in log.versions.items())
@@ -50,7 +56,23 @@ def describe(proof: Proof) -> Document:
     answer = holds if proof.holds else f"the log DOES NOT PROVE what it claims: {', '.join(proof.broken)}"
     first = (*notes(*filter(None, about)), *notes(*more, detail="full"), *_statements(proof.findings))
     last = Document("", (Statement(answer, "holds" if proof.holds else "fails"),))
-    return Document(Whole(log.path), (*first, *map(_describe_run, proof.runs), last))
+    runs = [_describe_together(proof.runs)] if in_table else [_describe_run(one) for one in proof.runs]
+    return Document(Whole(log.path), (*first, *runs, last))
+
+
+def _describe_together(runs: Sequence[InspectedRun]) -> Document:
+    """Returns the document about several runs: their verdicts, norms and checks, and all findings that do not hold."""
+    again = [one.again for one in runs if one.again is not None]
+    findings = [
+        (one.recorded_run.name, statement)
+        for one in runs
+        for statement in _statements(one.findings)
+        if statement.detail != "full"
+    ]
+    shared = (*verdicts(again), *share_statements(findings))
+    tables = [replace(checks_table(again), detail="normal")] * bool(again)
+    more = "not shown (--json): gains, signals and the text of every finding that holds"
+    return Document("", (*shared, *tables, *notes(*(one.caption for one in tables), more)))
 
 
 def _describe_run(one: InspectedRun) -> Document:

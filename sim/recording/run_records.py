@@ -186,7 +186,7 @@ def record_runs(
     The file name consists of the command, the vehicle file, the controllers and the time (UTC).
 
     Args:
-        command_line: command line `python -m sim.COMMAND ...` that repeats the runs.
+        command_line: command line `roadproof COMMAND ...` that repeats the runs.
         vehicle: vehicle of the runs.
         controllers: names of the controllers, for the name of the log.
         runs: runs, by their names in the log.
@@ -203,7 +203,7 @@ def record_runs(
 
     logs = [run_log(run, name, measured) for name, run in runs.items()]
     time = logs[0].responses[MUJOCO].time
-    timestep, match = float(time[1] - time[0]), re.match(r"python -m sim\.(\w+)( |$)", command_line)
+    timestep, match = float(time[1] - time[0]), re.match(r"(?:roadproof |python -m sim\.)(\w+)( |$)", command_line)
     metadata = {
         "format": str(FORMAT),
         "signals": str(SIGNALS),

@@ -17,14 +17,14 @@ exit code: 0 the report is written; 1 it omits a controller that cannot be desig
 2 invalid input
 
 examples:
-  python -m sim.report --out report.html
-  python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
-  python -m sim.report --quick --out quick.html
-  python -m sim.report --vehicle my_car.toml --road my_road.csv --speed 15 --duration 30
-  python -m sim.report --quick --vehicle my_car.toml --vehicle van.toml
-  python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
-  python -m sim.report --gallery --out gallery.html
-  python -m sim.report --one-page --vehicle my_car.toml --class C --speed 90km/h --out mail.html
+  roadproof report --out report.html
+  roadproof report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
+  roadproof report --quick --out quick.html
+  roadproof report --vehicle my_car.toml --road my_road.csv --speed 15 --duration 30
+  roadproof report --quick --vehicle my_car.toml --vehicle van.toml
+  roadproof report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
+  roadproof report --gallery --out gallery.html
+  roadproof report --one-page --vehicle my_car.toml --class C --speed 90km/h --out mail.html
 """
 
 
@@ -58,11 +58,11 @@ def _parser() -> Parser:
     parser.add_argument(
         "--front",
         metavar="AXES",
-        help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
+        help="add a trade-off between two or three objectives, such as ride:travel, as in `roadproof synth --front`, with "
         "MuJoCo runs of some designs; takes half a minute more",
     )
     parser.add_exported(
-        "describe the exported code in this folder, which python -m synth --export wrote, and its effect on the run"
+        "describe the exported code in this folder, which roadproof synth --export wrote, and its effect on the run"
     )
     add_road(parser, "none")
     parser.add_number("--duration", 20.0, "s", "duration of the run over the road")

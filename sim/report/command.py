@@ -15,7 +15,7 @@ from models.common.command import chosen_of, print_json, print_remarks, versions
 from models.common.errors import InputError
 from models.common.extensions import STUDIES
 from models.common.files import made_folder, together
-from models.common.printed import Stages, Whole, say, show, some_sentences
+from models.common.printed import DETAIL_LINES, Stages, Whole, say, show, some_sentences
 from models.document.document import Table
 from models.document.figure import Figure
 from models.document.outputs import check_outputs, output_paths, written_lines
@@ -86,8 +86,11 @@ def write_reports(options: argparse.Namespace, child_processes: bool) -> int:
         lines = [*written_lines(outputs)[1:], *left, *left_out_lines(others)]
         lines += ["", *score_lines(result.scores, result.compared_on)]
         if not options.brief:
-            every = [one.text for one in page.answer]
-            said = every if options.verbose else some_sentences(page.warnings, [*lines, "", page.verdict])
+            if options.verbose:
+                every = list(dict.fromkeys([*page.warnings, *(one.text for one in page.answer)]))
+                said = some_sentences(every, [*lines, "", "", page.verdict], DETAIL_LINES, "the page contains")
+            else:
+                said = some_sentences(page.warnings, [*lines, "", page.verdict])
             lines += ["", *said, *([""] if said else []), page.verdict]
         say(lines)
     return 1 if undesigned else 0

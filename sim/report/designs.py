@@ -28,7 +28,7 @@ FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)
 
 
 def design_section(scope: Subject) -> Document:
-    """Returns the section about designs: norms, bounds and certificates as `python -m synth` prints them, goals and gains."""
+    """Returns the section about designs: norms, bounds and certificates as `roadproof synth` prints them, goals and gains."""
     rows, designer, vehicle = [_row(scope, one) for one in scope.controllers], scope.designer, scope.vehicle
     document = describe(vehicle, rows, designer.beyond_control, designer.plant, apart=True)
     blocks: list[Block] = [*_loops(scope), *document.blocks]

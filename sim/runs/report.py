@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +68,24 @@ FAR_OFF = 100.0  # if a linearisation's error is larger than this multiple of a 
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 WHOLE = "signal, over the whole run"
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
+
+
+def _proved(run: RunResult) -> Any:
+    """Returns the certificate of a stable linear loop, otherwise None."""
+    linear = run.controller.linear is not False and run.controller.certificate.stable
+    return run.controller.certificate if linear else None
+
+
+CHECKS: tuple[Field[RunResult], ...] = (
+    Field("controller", lambda run: run.controller.name),
+    NORM.of(_proved),
+    PEAK.of(_proved, "at"),
+    BOUND.of(_proved),
+    Field("steps", lambda run: getattr(run.agreement.steps, "error", None), DIFFERENCE.form),
+    Field("commands", lambda run: getattr(run.agreement.commands, "error", None), DIFFERENCE.form),
+    Field("linear", lambda run: max((one.sampled for one in run.agreement.signals.values()), default=None), DIFFERENCE.form),
+    RESIDUAL.of(lambda run: run.energy, "energy"),
+)  # columns of `checks_table`
 
 
 def line_words(run: RunResult) -> str:
@@ -433,6 +452,15 @@ def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     caption = "Peak and rms of every signal, and largest errors relative to its peak, as long as linear analysis applies."
     headings, linear = tuple(rows[0]), tuple(field.label for field in SIZES if not field.label.endswith("MuJoCo"))
     return Table("signals", caption, headings, tuple(tuple(row.values()) for row in rows), detail="full", wide=linear)
+
+
+def checks_table(runs: Sequence[RunResult]) -> Table:
+    """Returns the table of norms, bounds and checks, with a row for each run."""
+    caption = (
+        "Difference of MuJoCo from one RK4 step of the model, from the control law and from linear analysis, relative to peaks; "
+        "residual of the energy balance."
+    )
+    return Table.of("checks", caption, CHECKS, runs, detail="full")
 
 
 def events(run: RunResult) -> tuple[tuple[float, str], ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from models.common.command import Parser
-from models.common.printed import title_lines
+from models.common.printed import DETAIL_LINES, fit_lines, title_lines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,6 +56,7 @@ class Study(Generic[R]):
         takes: "one" if the command needs one linear controller, "several" if it accepts any controllers, "" if it uses no
             vehicle.
         usual: default of `--controller` for a command that takes several controllers.
+        details: details that `-v` omits if they do not fit on a screen; empty if they always fit.
         stages: names of the stages that `run` passes to `progress`.
         seconds: approximate duration of the longest request of a report [s]. Long requests start first.
     """
@@ -64,6 +65,7 @@ class Study(Generic[R]):
     page = "docs/which-command.md"
     takes: Literal["", "one", "several"] = "one"
     usual: tuple[str, ...] = ()
+    details = ""
     stages: tuple[str, ...] = ()
     seconds = 1.0
 
@@ -116,7 +118,11 @@ class Study(Generic[R]):
 
         title = title_lines(self.title(request, result), request.vehicle.source)
         detail = "full" if getattr(request.options, "verbose", False) else "normal"
-        return [*title, *files, "", *text_lines(self.describe(request, result), detail)]
+        document = self.describe(request, result)
+        lines = [*title, *files, "", *text_lines(document, detail)]
+        if detail == "full" and self.details and len(fit_lines(lines)) > DETAIL_LINES:
+            lines = [*title, *files, "", *text_lines(document), f"not shown (--json): {self.details}"]
+        return lines
 
     def holds(self, result: R) -> bool:
         """Returns True if the result is successful, so that the exit code is 0."""

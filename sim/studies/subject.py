@@ -155,7 +155,7 @@ class Subject:
 
     @property
     def margins_timestep(self) -> float:
-        """Timestep for the margins [s]: the smaller one of the default of `python -m sim.margins` and the report's timestep."""
+        """Timestep for the margins [s]: the smaller one of the default of `roadproof margins` and the report's timestep."""
         return min(TIMESTEP, self.timestep)
 
     @property

@@ -11,15 +11,15 @@ import numpy as np
 
 from models.common.command import print_json
 from models.common.errors import InputError
-from models.common.printed import Stages, as_name, by_text, percent, say, title_lines
+from models.common.printed import DETAIL_LINES, Stages, as_name, by_text, fit_lines, percent, say, title_lines
 from models.document.document import Block, Document, Statement, notes
 from models.document.field import Field, Record
 from models.document.outputs import check_outputs, output_paths, written_lines
-from models.document.text import screen_lines
+from models.document.text import screen_lines, text_lines
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import Row, answers, describe, details, lacks_damping, record
+from synth.command.table import NOT_SHOWN, Row, answers, describe, details, lacks_damping, loop_table, record
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.problem import measurements
 from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
@@ -281,21 +281,29 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
         files += ["no picture is written, because no loop is stable"]
     title, end = title_lines(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
     lines = screen_lines(document(designs, options), full, [*title, *files, *end])
+    if full and len(designs.rows) > 1 and len(fit_lines([*title, *lines, *files, *end])) > DETAIL_LINES:
+        lines = text_lines(document(designs, options, in_table=True), "full")
     return [*title, *lines, *files, *end]
 
 
-def document(designs: Designs, options: Namespace) -> Document:
-    """Returns the results of the command as a document."""
+def document(designs: Designs, options: Namespace, in_table: bool = False) -> Document:
+    """Returns the results of the command as a document.
+
+    Args:
+        designs: the results.
+        options: options from the command's parser.
+        in_table: True for a table of loops instead of a document about each controller.
+    """
     vehicle, rows = designs.vehicle, designs.rows
     asked = bool(options.given & ANSWER_OPTIONS)
     margins = {row.name: row.margins for row in rows if row.margins is not None}
     felt = notes(*direct_feedback(margins), detail="brief")
     blocks: list[Block] = [*_worse(designs), *felt]
-    if not options.verbose:
-        gains = not asked or len(rows) == 1
+    if in_table or not options.verbose:
+        gains = not in_table and (not asked or len(rows) == 1)
         blocks += answers(rows, gains, checked=bool(options.check))
         blocks += notes(*(warnings(margins) if not asked else ()), detail="brief")
-    if options.fragility and not options.verbose:
+    if options.fragility and (in_table or not options.verbose):
         from synth.command.fragility import describe as tolerated
 
         blocks += tolerated({row.name: row.fragile for row in rows if row.fragile is not None})
@@ -309,7 +317,10 @@ def document(designs: Designs, options: Namespace) -> Document:
         names = ", ".join(map(as_name, unnamed))
         blocks += notes(f"Linear analysis does not apply to {names}. Simulate them with sim.drive or sim.campaign.")
     own = [row.name for row in rows] if options.controller else without_copies(row.name for row in rows)
-    blocks += [details(vehicle, row) for row in rows if row.name in own]
+    if in_table:
+        blocks += [loop_table([row for row in rows if row.controller is not None]), *notes(NOT_SHOWN)]
+    else:
+        blocks += [details(vehicle, row) for row in rows if row.name in own]
     return Document("", (*blocks, *([] if options.verbose else notes(MORE))))
 
 

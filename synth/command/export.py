@@ -94,7 +94,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
         *(f"  {path}" for path in texts),
         "",
         f"written to {folder}; its README.md shows how to call the code. This command verifies the files:",
-        Whole(f"  python -m synth --check {pasted_path(folder)}"),
+        Whole(f"  roadproof synth --check {pasted_path(folder)}"),
     ]
 
 

@@ -26,22 +26,22 @@ sample period or a delay, an unstable loop fails only if it is unstable both wit
 with them is listed and does not fail.
 
 examples:
-  python -m synth
-  python -m synth --vehicle half_car --controller I --json
-  python -m synth --controller I --refine --save my_car.toml
-  python -m synth --check my_car.toml
-  python -m synth --controller I --certificates proofs
-  python -m synth --controller I --export ecu --numbers float
-  python -m synth --export car.mat
-  python -m synth --controller I --export controller.fmu
-  python -m synth --part vehicle --export car.fmu --fmi 3
-  python -m synth --zero-l
-  python -m synth --controller I --fragility
-  python -m synth --vehicle quarter_car_goals --picture bands.png
-  python -m synth --vehicle full_car --cross-check
-  python -m synth --rates 1 2 5 10 20 50 100 --picture rates.png
-  python -m synth --front ride:travel --controller II --picture front.png --csv front.csv
-  python -m synth --front band=4-8:travel:force --save designs.toml --point 20 60
+  roadproof synth
+  roadproof synth --vehicle half_car --controller I --json
+  roadproof synth --controller I --refine --save my_car.toml
+  roadproof synth --check my_car.toml
+  roadproof synth --controller I --certificates proofs
+  roadproof synth --controller I --export ecu --numbers float
+  roadproof synth --export car.mat
+  roadproof synth --controller I --export controller.fmu
+  roadproof synth --part vehicle --export car.fmu --fmi 3
+  roadproof synth --zero-l
+  roadproof synth --controller I --fragility
+  roadproof synth --vehicle quarter_car_goals --picture bands.png
+  roadproof synth --vehicle full_car --cross-check
+  roadproof synth --rates 1 2 5 10 20 50 100 --picture rates.png
+  roadproof synth --front ride:travel --controller II --picture front.png --csv front.csv
+  roadproof synth --front band=4-8:travel:force --save designs.toml --point 20 60
 """
 
 

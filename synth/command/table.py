@@ -312,6 +312,32 @@ HERTZ = Field[complex]("frequency", abs, ".3g", 1 / (2 * math.pi), unit="Hz")
 DAMPING = Field[complex]("damping", lambda pole: abs(pole.real) / abs(pole) if pole else 0.0, ".2g")
 
 
+def _goals(row: Row) -> str | None:
+    specifications = row.controller.specifications if row.controller is not None else ()
+    return f"{sum(one.holds for one in specifications)} of {len(specifications)}" if specifications else None
+
+
+def _least_damped(row: Row) -> complex | None:
+    """Returns the pole with the smallest damping ratio of a loop."""
+    return min(_poles(row.controller), key=DAMPING.value, default=None) if row.controller is not None else None
+
+
+LOOPS: tuple[Field[Row], ...] = (
+    CONTROLLER,
+    POLE_OR_VERDICT.of(lambda row: row),
+    DAMPING.of(_least_damped, "least damping"),
+    HERTZ.of(_least_damped, "at"),
+    Field("states of the law", lambda row: str(row.controller.law.states) if row.controller is not None else None),
+    Field("goals reached", _goals),
+)  # columns of `loop_table`
+
+
+def loop_table(rows: Sequence[Row]) -> Table:
+    """Returns the table of the poles of all loops, for controllers whose details do not fit on a screen."""
+    return Table.of("loops", "Poles of all loops.", [replace(one, detail="normal") for one in LOOPS], rows, detail="full")
+
+
+NOT_SHOWN = "not shown (--controller NAME -v, or --json): gains, other poles and goals"
 INSIDE = "the sampled norm is reached within one sample period: no controller at this rate has a smaller norm"
 
 

@@ -206,7 +206,7 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
     for name, vehicle, road in (("late", late, Bump(0.002)), ("worst", paper, sinusoid(64.2, 12.5).scaled(5e-5))):
         (runs[f"II_{name}"],) = run_controllers(vehicle, [controller], road, time)
     result = {"controller": "II"}
-    path = record_runs(tmp_path, "python -m sim.margins --controller II", paper, ["II"], runs, result)["mcap"]
+    path = record_runs(tmp_path, "roadproof margins --controller II", paper, ["II"], runs, result)["mcap"]
     code, found = inspected(Path(path), capsys)
     assert (code, broken(found)) == (0, set())
     parts = {(finding["part"], finding["verdict"]) for finding in found["runs"][0]["findings"]}

@@ -25,7 +25,7 @@ def test_it_writes_a_template(tmp_path, capsys, name):
     """Each type has a template, which reads without questions about units; a file that exists is left as it is."""
     path = tmp_path / "my car.toml"
     assert main_of("sim.new")([str(path), "--type", name]) == 0
-    assert f"python -m synth --vehicle '{path}'\n" in capsys.readouterr().out
+    assert f"roadproof synth --vehicle '{path}'\n" in capsys.readouterr().out
     assert path.read_bytes() == (TEMPLATES / f"{name}.toml").read_bytes()
     vehicle = read_vehicle(path)
     assert vehicle.kind.name == name

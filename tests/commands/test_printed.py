@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from models.common.printed import LINES, WIDTH, Whole, command, fit_lines, percent, some_sentences, table, wrap_text
+from models.common.printed import DETAIL_LINES, LINES, WIDTH, Whole, command, fit_lines, percent, some_sentences, table, wrap_text
 from models.vehicle.vehicle import read_vehicle
 from sim.__main__ import COMMANDS, VERBS
 from sim.inspect.log import read_log
@@ -163,13 +163,54 @@ def test_a_screen_of_details(name, options):
     run = printed(name, *options, "-v") if options[:1] not in ((), ("plain",)) else golden(name, "plain", "-v")
     assert (run.code, run.err) == (0, "")
     assert too_wide(run.out) == []
-    assert len(run.out.splitlines()) <= 40 - 3 * ("--no-logs" in options)  # the log's files and a line before them
+    assert len(run.out.splitlines()) <= DETAIL_LINES - 3 * ("--no-logs" in options)  # the log's files and a line before them
     if name in ("sim.bump", "sim.drive"):
         above, _, details = run.out.partition("\ncontroller I: measures suspension_deflection, sprung_velocity\n")
         assert re.search(r"^  I +[\d.]+ +[-+]\d+ ", above, re.M)
         assert details.startswith("  norm 7.843188 at 10.127 Hz, bound 7.871486\n  WARNING: small gain margin 1.21 (1.66 dB), ")
         assert "\n  gain: 10825.2 N/m suspension_deflection, -2069.5 N s/m sprung_velocity\n" in details
         assert re.search(ANSWERS[name], details)
+
+
+VERBOSE = {  # command lines with -v, with the vehicles that the suite asks it of, and those that the attacks do
+    f"sim.bump {ALL} --logs logs": f"quarter_car_semi_active / {' '.join(ONE)} quarter_car half_car half_car_roll full_car",
+    f"sim.drive {ALL} --class C --logs logs": f"full_car / {' '.join(ONE)} quarter_car quarter_car_semi_active half_car",
+    "sim.sweep --controller all --timestep 4e-3": f"/ {' '.join(ONE)} quarter_car quarter_car_semi_active half_car full_car",
+    "sim.margins --controller CONTROLLER --timestep 4e-3": f"/ {' '.join(ONE)} quarter_car half_car full_car",
+    "synth": f"full_car / {' '.join(ONE)} quarter_car quarter_car_semi_active half_car half_car_roll",
+    "synth --fragility": "/ quarter_car",
+}
+
+
+@pytest.mark.parametrize(
+    ("car", "line"),
+    [
+        case
+        for line, (some, _, more) in ((line, cars.partition("/")) for line, cars in VERBOSE.items())
+        for case in (*((car, line) for car in some.split()), *attacks([(car, line) for car in more.split()]))
+    ],
+)
+def test_details_of_all_controllers_fit_a_screen(car, line, tmp_path, monkeypatch, capsys):
+    """With -v a command takes at most 40 lines of 80 columns for all controllers of a vehicle file.
+
+    A table has a row for each controller, and one line names what is omitted and how to get it.
+    """
+    monkeypatch.chdir(tmp_path)
+    name, *arguments = shlex.split(line.replace("CONTROLLER", ONE.get(car, "I")))
+    main_of(name)([*arguments, "--vehicle", car, "-v"])
+    out = capsys.readouterr().out
+    assert too_wide(out) == []
+    assert len(out.splitlines()) <= DETAIL_LINES
+    if "all" in arguments:
+        assert len(re.findall(r"^ *not shown \(--controller NAME -v, or --json\): ", out, re.M)) == 1
+    if name in ANSWERS:
+        check_answer(name, out)
+    if name in ("sim.bump", "sim.drive"):
+        (logged,) = Path("logs").glob("*.mcap")
+        assert main_of("sim.inspect")([str(logged), "-v"]) == 0
+        out = capsys.readouterr().out
+        assert too_wide(out) == []
+        assert len(out.splitlines()) <= DETAIL_LINES
 
 
 def texts(found: object) -> set[str]:

@@ -209,9 +209,14 @@ def test_campaign_snippet(tmp_path):
 
 
 def test_first_commands():
-    """From `git clone` to a picture of one's own car there are five commands; `.ci/run` finds its three blocks in their order."""
+    """From `git clone` to a picture of one's own car there are five commands, in README.md and in the first tutorial.
+
+    `.ci/run` finds its three blocks in their order.
+    """
     first, *_ = pages.sections("README.md")
     (block,) = first.blocks("bash")
+    assert pages.page("README.md").index(block) < 1400, "the commands are not on the first screen"
+    assert [block] == next(iter(pages.sections("docs/tutorials/first-bump.md"))).blocks("bash")
     clone, *_, new, drive = block.splitlines()
     assert len(block.splitlines()) == 5
     assert clone.startswith("git clone ")

@@ -49,7 +49,7 @@ def test_said_by(vehicles, capsys, main, options):
     code, out, (line,) = said["broken"]
     assert (code, out) == said["kept"][:2]
     assert line.startswith(SAID)
-    assert line.endswith("at most 7 is allowed, and 1 more); it is used nevertheless; python -m synth explains this")
+    assert line.endswith("at most 7 is allowed, and 1 more); it is used nevertheless; roadproof synth explains this")
 
 
 def test_said_by_a_campaign(vehicles, tmp_path, capsys):

@@ -19,9 +19,9 @@ exit code: 0 every claim holds, or the output shows how MuJoCo left the linear r
 designed, or every run of a law diverged, so that nothing is measured; 2 invalid input
 
 examples:
-  python -m sim.sweep --picture sweep.png
-  python -m sim.sweep --controller I --amplitude 0.05
-  python -m sim.sweep --vehicle half_car --controller all --json
+  roadproof sweep --picture sweep.png
+  roadproof sweep --controller I --amplitude 0.05
+  roadproof sweep --vehicle half_car --controller all --json
 """
     page = "docs/how-to/sweep.md"
     takes = "several"

@@ -1,7 +1,7 @@
 """Printed documents about frequency responses, largest gains and minimum tyre loads."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -85,6 +85,54 @@ LOADS: tuple[Field[tuple[str, MinimumLoad]], ...] = (
     Field("frequency", lambda of: of[1].omega, ".2f", HZ, unit="Hz"),
     Field("linear range ends with", lambda of: of[1].end or "-", column="linear regime ended by"),
 )
+
+
+def _if_bounded(get: Callable[[Sweep], float]) -> Callable[[Sweep], float | None]:
+    return lambda one: get(one) if one.is_bounded else None
+
+
+def _least_load(one: Sweep) -> MinimumLoad:
+    return min(one.loads, key=lambda load: load.ratio)
+
+
+SUMMARY: tuple[Field[Sweep], ...] = (
+    GAINS[0],
+    Field("error to sampled", lambda one: one.lines.error(one.lines.sampled).max(), difference),
+    Field("norm, continuous", lambda one: NORM.value(one.controller.certificate) if one.is_bounded else None, NORM.form),
+    Field("norm, discrete", _if_bounded(GAINS[1].value), GAIN.form),
+    Field("at", _if_bounded(NORMS[2].value), ".5g", HZ, unit="Hz"),
+    Field("share of it", _if_bounded(GAINS[3].value), ".2f", 100.0, unit="%"),
+    Field("invariant error", lambda one: max((each.error for each in one.extremes.invariants), default=None), difference),
+    Field("least load", lambda one: _least_load(one).measured, ".1f", 100.0, unit="%"),
+)  # columns of `summarize` for linear controllers
+
+
+def _if_steady(get: Callable[[DescribingFunction], float]) -> Callable[[DescribingFunction], float | None]:
+    return lambda one: get(one) if np.isinf(one.diverged).any() else None
+
+
+LAWS: tuple[Field[DescribingFunction], ...] = (
+    Field("controller", lambda one: one.controller.name),
+    PEAK.of(lambda one: one if np.isinf(one.diverged).any() else None),
+    Field("at", _if_steady(lambda one: one.worst_omega), ".3g", HZ, unit="Hz"),
+    Field("energy elsewhere", _if_steady(lambda one: float(np.nanmax(one.outside))), percent),
+    Field("change in a period", lambda one: one.drift, percent),
+    Field("runs diverged", lambda one: str(np.isfinite(one.diverged).sum())),
+    Field("limits reached", lambda one: ", ".join(one.ended) or "-"),
+)  # columns of `summarize` for nonlinear laws
+
+
+def summarize(sweeps: Sequence[Sweep], own: Sequence[DescribingFunction]) -> Document:
+    """Returns the document with a row for each controller: norms, the largest errors, and the smallest tyre load."""
+    text = (
+        "Norm, discrete: of the sampled loop, on roads that are constant during each timestep. Share: gain for the worst "
+        "sinusoid in MuJoCo. Invariants: responses that no suspension changes. Least load: the smallest tyre load on a plate "
+        f"that moves by 6 mm, in % of the static load (EUSAMA TS-02-76). This test is {DISPUTED_LIMIT}."
+    )
+    failed = [Statement(f"{as_name(one.controller.name)}: {each}.", "fails") for one in own for each in describing_failures(one)]
+    tables = [Table.of("summary", text, SUMMARY, sweeps), *notes(text)] if sweeps else []
+    laws = [Table.of("laws", "Sinusoidal roads with laws to which linear analysis does not apply.", LAWS, own)] if own else []
+    return Document("Summary", (*failed, *tables, *laws))
 
 
 def describe(

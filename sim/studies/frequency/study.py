@@ -17,7 +17,7 @@ from sim.studies.frequency.command import SweepCommand
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import Lines, ideal_measurements, measure_responses
-from sim.studies.frequency.report import describe, workshop
+from sim.studies.frequency.report import describe, summarize, workshop
 from sim.studies.frequency.sweep import OWN, Sweep, holds, record, sweep
 from sim.studies.frequency.worst_case_gain import DURATION
 from sim.studies.study import Progress, Study, StudyRequest
@@ -75,10 +75,15 @@ class SweepStudy(SweepCommand):
         return {"sweeps": [record(one) for one in result.each(request.names)], **options}
 
     def lines(self, request: StudyRequest, result: Responses, files: Sequence[str]) -> list[str]:
-        vehicle, verbose, document = request.vehicle, request.options.verbose, self.describe(request, result)
-        shown = [one for one in document.blocks if not (isinstance(one, Table) and one.name == "signals")]
-        _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose else "normal")
-        if verbose and result.sweeps:
+        vehicle, verbose = request.vehicle, request.options.verbose
+        several = verbose and len(result.sweeps) + len(result.own) > 1
+        document = self.describe(request, replace(result, own=()) if several else result)
+        shown = [one for one in document.blocks if not (isinstance(one, Table) and (several or one.name == "signals"))]
+        _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose and not several else "normal")
+        if several:
+            lines += text_lines(summarize(result.sweeps, result.own))[1:]
+            lines.append("  not shown (--controller NAME -v, or --json): gains, signals, tyre loads")
+        elif verbose and result.sweeps:
             lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
         elif result.sweeps:
             lines.append("  -v adds invariants, norms and EUSAMA's minimum loads")

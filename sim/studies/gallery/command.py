@@ -23,8 +23,8 @@ taken at the samples of the published plot. `sim.report --gallery` writes these 
 exit code: 0 every number is reproduced, or differs for a known reason; 1 a number differs; 2 invalid input; 130 interrupted
 
 examples:
-  python -m sim.gallery
-  python -m sim.gallery mathworks --json
+  roadproof gallery
+  roadproof gallery mathworks --json
 """
     page = "docs/explanation/verification.md"
     takes = ""

@@ -30,9 +30,9 @@ class IdentifyStudy(Study["Result"]):
 exit code: 0 the residuals are white, or --columns; 1 they are not white, so the vehicle lacks something; 2 invalid input
 
 examples:
-  python -m sim.identify rig.csv --vehicle start.toml --signals map.toml --out found.toml
-  python -m sim.identify drive.mcap --vehicle quarter_car --fix sprung_mass
-  python -m sim.identify rig.csv --vehicle start.toml --columns > map.toml
+  roadproof identify rig.csv --vehicle start.toml --signals map.toml --out found.toml
+  roadproof identify drive.mcap --vehicle quarter_car --fix sprung_mass
+  roadproof identify rig.csv --vehicle start.toml --columns > map.toml
 """
     page = "docs/how-to/identify.md"
     takes = ""

@@ -33,8 +33,8 @@ exit code: 0 a controller is recommended; 1 none is better than the passive vehi
 interrupted
 
 examples:
-  python -m sim recommend --vehicle my_car.toml --class C --speed 90km/h
-  python -m sim recommend --vehicle my_car.toml --for holding --within stroke=90%,disk=0.4 --save best.toml
+  roadproof recommend --vehicle my_car.toml --class C --speed 90km/h
+  roadproof recommend --vehicle my_car.toml --for holding --within stroke=90%,disk=0.4 --save best.toml
 """
     page = "docs/how-to/recommend.md"
     takes = ""

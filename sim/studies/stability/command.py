@@ -15,11 +15,12 @@ class MarginsCommand(Study):
 exit code: 0 prediction and MuJoCo agree; 1 they disagree, or the controller cannot be designed; 2 invalid input
 
 examples:
-  python -m sim.margins --controller II
-  python -m sim.margins --controller I --picture margins.png --logs logs
-  python -m sim.margins --controller I --vehicle half_car --json
+  roadproof margins --controller II
+  roadproof margins --controller I --picture margins.png --logs logs
+  roadproof margins --controller I --vehicle half_car --json
 """
     page = "docs/how-to/margins.md"
+    details = "phase, disk margin and sample period of each loop"
     stages = ("margins",)
     seconds = 10.0
 

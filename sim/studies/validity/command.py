@@ -17,9 +17,9 @@ exit code: 0 MuJoCo first reaches the limit that linear analysis predicts; 1 it 
 cannot be designed; 2 invalid input; 130 interrupted
 
 examples:
-  python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
-  python -m sim.envelope --controller I --vary height:0.02:0.6:30 --speed 12.5
-  python -m sim.envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
+  roadproof envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
+  roadproof envelope --controller I --vary height:0.02:0.6:30 --speed 12.5
+  roadproof envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
 """
     page = "docs/how-to/envelope.md"
     stages = ("map",)

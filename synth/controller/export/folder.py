@@ -170,7 +170,7 @@ def _faults(law: ExportedLaw) -> str:
 
 def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     if driver.linear is False:
-        return "A semi-active law has no certificate. `python -m sim.drive` simulates it on a road."
+        return "A semi-active law has no certificate. `roadproof drive` simulates it on a road."
     entry = vehicle.controllers.get(driver.name)
     scalars = {name: value for name, value in (entry.certificate or {}).items() if isinstance(value, float)} if entry else {}
     words = "".join(f"- `{name}` = {value:.9g}\n" for name, value in scalars.items())
