@@ -265,8 +265,7 @@ class LinearModel:
         if bandwidth is None:
             return self
         rates = np.broadcast_to(bandwidth, len(self.inputs))
-        lags = np.flatnonzero(rates)
-        more = len(lags)
+        lags, more = np.flatnonzero(rates), np.count_nonzero(rates)
         return replace(
             self,
             A=np.block([[self.A, self.B[:, lags]], [np.zeros((more, len(self.A))), -np.diag(rates[lags])]]),
