@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 
 from models.common.arrays import Array
 from models.vehicle.mjcf import build_model
-from sim.studies.identification.estimate import estimate
+from sim.studies.identification.estimation.estimate import estimate
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.prediction import midpoints
 from tests.benchmarks.pairs import paired_ratio

@@ -23,13 +23,13 @@ from sim.drive.__main__ import main as drive
 from sim.studies.identification.allowed import allowed_results
 from sim.studies.identification.columns import map_text
 from sim.studies.identification.command import IdentifyStudy
-from sim.studies.identification.estimate import Estimate, estimate
+from sim.studies.identification.estimation.estimate import Estimate, estimate
+from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment
 from sim.studies.identification.identification import Identification, changed, identify, identify_experiments
 from sim.studies.identification.log_map import LogMap
 from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction
-from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.reading import LogStretches
 from sim.studies.identification.report import statements, vehicle_text
 

@@ -20,10 +20,10 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.common.printed import brief
-from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.estimation.estimate import Estimate
+from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.prediction import continuous_model
-from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.whiteness import autoregressive
 
 FACTORS: Mapping[float, str] = {

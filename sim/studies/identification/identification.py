@@ -15,15 +15,15 @@ from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
 from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
-from sim.studies.identification.estimate import Estimate, estimate, nearby
+from sim.studies.identification.estimation.estimate import Estimate, estimate, nearby
+from sim.studies.identification.estimation.problem import IdentificationProblem
+from sim.studies.identification.estimation.profile import profile
+from sim.studies.identification.estimation.residuals import Residuals
+from sim.studies.identification.estimation.search import CHI2, NORMAL, first_unknowns
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
-from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.profile import profile
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments, runs
-from sim.studies.identification.residuals import Residuals
-from sim.studies.identification.search import CHI2, NORMAL, first_unknowns
 from sim.studies.identification.spectra.random_road import ROAD_UNITS, free_road
 from sim.studies.identification.spectra.spectral_estimate import estimate_spectra, fits_elsewhere, nearby_spectra, unsteady
 

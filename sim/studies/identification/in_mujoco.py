@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.roads.rig import Rig
-from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.estimation.estimate import Estimate
 
 TIMESTEP = 1e-3  # s, largest timestep in MuJoCo
 MOST = 60.0  # s, longest part of an experiment that is simulated in MuJoCo

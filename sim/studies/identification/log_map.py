@@ -25,8 +25,8 @@ from models.common.errors import InputError, alike, short_repr
 from models.common.files import parse_toml, read_text
 from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Integer, ReadBy, Section, Text, read
 from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.estimation.problem import Known
 from sim.studies.identification.experiment import signal_units
-from sim.studies.identification.problem import Known
 
 ESTIMATE = "estimate"
 LOGGED, FLAT, UNKNOWN = "logged", "flat", "unknown"

@@ -13,12 +13,12 @@ from models.common.arrays import Array
 from models.common.errors import InputError, list_names
 from models.document.field import Field, Record
 from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.estimation.problem import IdentificationProblem
+from sim.studies.identification.estimation.structure import standard_deviations
 from sim.studies.identification.experiment import Channel, Experiment
 from sim.studies.identification.identification import changed, free_parameters
 from sim.studies.identification.log_map import LogMap
 from sim.studies.identification.prediction import LogPrediction
-from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.structure import standard_deviations
 
 RESERVE = 0.8  # the motion may use this share of the static tyre compression and of the suspension travel
 DURATIONS = (10.0, 30.0, 60.0)  # durations of a test to choose from [s]

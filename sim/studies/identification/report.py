@@ -20,11 +20,11 @@ from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.allowed_result import ALLOWED, WORST_BOUND, AllowedResult
 from sim.studies.identification.diagnosis import Cause
-from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.estimation.estimate import Estimate
+from sim.studies.identification.estimation.search import NORMAL
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.identification import Identification, element_numbers
 from sim.studies.identification.plan import PLANS, ChirpPlan
-from sim.studies.identification.search import NORMAL
 from sim.studies.identification.spectra.random_road import ROAD_UNITS
 from sim.studies.identification.spectra.spectral_estimate import spectral_figure, spectral_statement
 from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals

@@ -28,9 +28,9 @@ from models.common.printed import rough
 from models.roads.iso8608 import Iso8608
 from models.roads.spectrum import N0, as_met, tracks
 from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import Experiment
 from sim.studies.identification.prediction import LogPrediction, continuous_model
-from sim.studies.identification.problem import IdentificationProblem
 from sim.studies.identification.whiteness import LAGS
 
 ROUGHNESS, WAVINESS = "roughness", "waviness"  # parameters of the road, in addition to those of the vehicle

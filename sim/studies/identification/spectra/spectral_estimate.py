@@ -21,13 +21,13 @@ from models.common.errors import InputError, list_names
 from models.common.printed import rough
 from models.document.document import Statement
 from models.document.figure import Curve, Figure, Panel
-from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.estimation.estimate import Estimate
+from sim.studies.identification.estimation.problem import IdentificationProblem
+from sim.studies.identification.estimation.search import CHI2, SPREAD, STARTS
+from sim.studies.identification.estimation.structure import information, structure_of
 from sim.studies.identification.experiment import Experiment, signal_units
-from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.search import CHI2, SPREAD, STARTS
 from sim.studies.identification.spectra.random_road import Periodograms
 from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals
-from sim.studies.identification.structure import information, structure_of
 from sim.studies.identification.whiteness import Whiteness
 
 # The search ends if the derivatives of the deviance are smaller. An unknown with the standard deviation s is then off by at most

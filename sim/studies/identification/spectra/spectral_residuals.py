@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
-from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.residuals import FURTHEST, Residuals
+from sim.studies.identification.estimation.problem import IdentificationProblem
+from sim.studies.identification.estimation.residuals import FURTHEST, Residuals
 from sim.studies.identification.spectra.random_road import ROUGHNESS, Periodograms, RoadResponse, periodograms, road_values
 
 LEAST_NOISE = 1e-4  # smallest noise rms relative to the signal's rms

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from sim.studies.identification.residuals import Residuals
+from sim.studies.identification.estimation.residuals import Residuals
 from sim.studies.identification.whiteness import whiteness
 
 NORMAL = 1.959963984540054  # half the width of a 95 % confidence interval, in standard deviations

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from sim.studies.identification.estimate import Estimate
-from sim.studies.identification.residuals import FURTHEST
-from sim.studies.identification.search import CHI2, NORMAL, lower_limits, solve
+from sim.studies.identification.estimation.estimate import Estimate
+from sim.studies.identification.estimation.residuals import FURTHEST
+from sim.studies.identification.estimation.search import CHI2, NORMAL, lower_limits, solve
 
 STRIDE = 1.5  # largest step of a logarithm, a factor of 4.5
 ROUNDS, MOST = 2, 8  # largest number of rounds of the search for a point, and of evaluations in each round

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.residuals import Residuals
-from sim.studies.identification.search import first_unknowns
+from sim.studies.identification.estimation.problem import IdentificationProblem
+from sim.studies.identification.estimation.residuals import Residuals
+from sim.studies.identification.estimation.search import first_unknowns
 
 SINGULAR = 1e-7  # smallest relative singular value of a direction that changes a signal; matrices are accurate to 1e-10
 ZERO = 1e-5  # a component of a direction counts as zero if it is smaller

@@ -16,10 +16,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, list_names
-from sim.studies.identification.problem import IdentificationProblem
-from sim.studies.identification.residuals import Residuals
-from sim.studies.identification.search import NORMAL, Solution, first_unknowns, solve, solve_from_several
-from sim.studies.identification.structure import Structure, information, structure_of
+from sim.studies.identification.estimation.problem import IdentificationProblem
+from sim.studies.identification.estimation.residuals import Residuals
+from sim.studies.identification.estimation.search import NORMAL, Solution, first_unknowns, solve, solve_from_several
+from sim.studies.identification.estimation.structure import Structure, information, structure_of
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
 # a parameter counts as not determined if the standard deviation of its logarithm is larger: a factor of 7 up or down

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
+from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import Channel, Experiment
 from sim.studies.identification.prediction import PredictedSignals
-from sim.studies.identification.problem import IdentificationProblem
 
 FURTHEST = 9.0  # largest change of the logarithm of a parameter: a factor of 8000
 BLOCK = 50_000  # largest number of samples whose derivatives are kept in memory at the same time

@@ -1,0 +1,1 @@
+"""Maximum-likelihood estimates of the parameters of a vehicle: problem, residuals, search, structure and profiles."""
