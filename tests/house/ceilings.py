@@ -144,7 +144,7 @@ gallery of papers                                               756    343     4
 margins in physics                                             2180    823     78
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-recommendation of a controller                                 1631    400    216
+recommendation of a controller                                 1630    400    216
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               2104    602     36
