@@ -134,10 +134,13 @@ def table(result: Recommendation) -> Table:
     if passive is not None and passive not in rows:
         rows[-1] = passive
 
-    def column(key: str, label: str) -> Field[RankedContender]:
-        of_key = next(one for one in FIELDS if one.key == key).of(lambda row: row.rating, label)  # pyright: ignore
+    def starred(key: str, one: Field[RankedContender]) -> Field[RankedContender]:
         star = BEST if key == goal else ""
-        return replace(of_key, value=lambda row: of_key.cell(row) + star * (row is result.best))
+        return replace(one, value=lambda row: one.cell(row) + star * (row is result.best))
+
+    def column(key: str, label: str) -> Field[RankedContender]:
+        of_key = next(one for one in FIELDS if one.key == key)
+        return starred(key, of_key.of(lambda row: row.rating, label))  # pyright: ignore[reportArgumentType]
 
     def decibels(label: str, factor: Callable[[Usage], float]) -> Field[RankedContender]:
         def value(row: RankedContender) -> float | None:
@@ -149,7 +152,7 @@ def table(result: Recommendation) -> Table:
     columns = [
         Field[RankedContender]("candidate", lambda row: row.candidate.name),
         column("ride", "ride"),
-        Field[RankedContender]("travel", lambda row: row.rating.usage.stroke, ".0f", 100.0, unit="%"),
+        starred("peak_travel", Field("travel", lambda row: row.rating.usage.stroke, ".0f", 100.0, unit="%")),
         column("dynamic_load", "tyre load"),
         column("force_rms", "force"),
         column("force_peak", "peak"),
@@ -199,14 +202,11 @@ def explanations(result: Recommendation, shown: int) -> list[str]:
             part = f" ({CHANGED.text(value / whole - 1)})" * (len(groups) < len(known) and math.isfinite(whole))
             number = f"{three_digits(column.scale * value)}{part}" if math.isfinite(value) else "not within the limits"
             each.append(f"{''.join(known[one] for one in groups)} {number}")
-        usual = "" if task.random else " on class C"
-        texts.append(f"Expected {what}{usual} of the best LQG with different sensors{f' [{column.unit}]'}: {', '.join(each)}.")
+        usual, unit = " on class C" * (not task.random), f" [{column.unit}]" * bool(column.unit)
+        texts.append(f"Expected {what}{usual} of the best LQG with different sensors{unit}: {', '.join(each)}.")
     kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
-    reserve = (
-        f" A reserve is kept for other roads: {SHARE.text(kept)} of stroke and force, and {SHARE.text(lift)} of the "
-        "time off the ground."
-    )
-    texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
+    reserve = f"{SHARE.text(kept)} of stroke and force, and {SHARE.text(lift)} of the time off the ground"
+    texts += [*task.assumed, f"Limits: {task.within.text}.{f' A reserve is kept for other roads: {reserve}.' * bool(kept)}"]
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []
     return [*texts, *(["The search was interrupted: these are the candidates so far."] if result.interrupted else [])]
