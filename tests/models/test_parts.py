@@ -370,7 +370,7 @@ stacks = in_suite(*OVER_TRAVEL, *CONSTANT_RATIO, *LARGER[::3], TOGETHER)
 of_energy = in_suite(*OVER_TRAVEL, TOGETHER)
 SIDE_BY_SIDE = {*OVER_TRAVEL, TOGETHER, ("full_car", ("surface damper",), "constant")}
 # Whole runs of four cars are dear: each part at each ratio on the quarter-car and on a larger car, and a ninth of the pairs.
-some_runs = in_suite(*SIDE_BY_SIDE, of=list(dict.fromkeys([*ON_QUARTER, *LARGER, *SIDE_BY_SIDE, *BESIDE[::9]])))
+some_runs = in_suite(*SIDE_BY_SIDE, of=list(dict.fromkeys([*ON_QUARTER, *LARGER, *sorted(SIDE_BY_SIDE), *BESIDE[::9]])))
 
 
 def ratios_at(ratio: str, end: str) -> tuple[list[float], list[float]]:

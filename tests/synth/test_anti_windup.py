@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive.case import Case
 from sim.drive.drive import drive
-from sim.drive.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
+from sim.drive.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled, utilisation
 from sim.inspect.__main__ import main as inspect
 from sim.observers.ends import Ends
 from sim.runs.record import controller_record
@@ -141,7 +141,7 @@ def test_the_linear_regime_ends_with_the_first_command_at_the_rate_limit(lag):
     assert 0 < first == run.agreement.end_times[RATE_LIMIT.name]
     assert [one.times[end] for one in ends] == [first] * 2
     (factor,) = 1 / utilisation(vehicle, run.sampled)[[end]]
-    times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]))[:, end]
+    times = scaled(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor])).times[:, end]
     assert times[0] == first
     assert np.isfinite(times).tolist() == [True, False, True]
 
@@ -169,7 +169,7 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     (ends,) = drive([Case(vehicle, controller, BUMP)] * 2, time, Ends, streamed=True)
     assert [one.times[end] for one in ends] == [clipped] * 2
     (factor,) = 1 / utilisation(vehicle, run.sampled, anti_windup=True)[[end]]
-    times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]), anti_windup=True)[:, end]
+    times = scaled(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]), anti_windup=True).times[:, end]
     assert times[0] == clipped
     assert np.isfinite(times).tolist() == [True, False, True]
 
