@@ -1,6 +1,6 @@
 """Speed over a hump.
 
-How fast may the car drive over a speed hump of 75 mm? The peak acceleration of the body answers.
+How fast may the car drive over a speed hump of 75 mm? The peak acceleration of the body shows the limit.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,7 @@
 """Dry friction and hysteresis.
 
-Seals and bushings add dry friction to the damper: its force depends on the history of the travel, so that the curve is a loop.
+Seals and bushings add dry friction to the damper. The force then depends on the past motion, so force over travel is a
+hysteresis loop.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """An inerter beside the damper.
 
-An inerter resists the relative acceleration of body and wheel. On a stiff suspension it improves the ride, and
-costs road holding.
+An inerter resists the relative acceleration of body and wheel. On a stiff suspension, it improves the ride, but worsens the
+road holding.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,7 @@
 """Delay that the loop tolerates.
 
-`find_margins` predicts stability margins, and finds them again in MuJoCo by runs that decay and runs that grow.
+`find_margins` predicts stability margins. MuJoCo confirms each margin: a run just below it decays, and a run just above it
+grows.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """A measured road.
 
-Drive over the heights of a survey, here those of a sunken slab.
+Drive over a surveyed road profile, here a sunken slab.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """Preview of the road ahead.
 
-A sensor that sees the road 0.3 s ahead lets the controller act before the wheel meets the bump.
+With a sensor for the road 0.3 s ahead, the controller acts before the wheel meets the bump.
 """
 
 import matplotlib.pyplot as plt

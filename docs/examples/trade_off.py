@@ -1,7 +1,7 @@
 """Ride against travel.
 
-A heavier weight on the suspension deflection buys less travel with a harder ride. Expected values over the random road
-make smooth curves from short runs.
+A larger weight on the suspension deflection reduces the travel, but makes the ride harder. Expected values over random roads
+give smooth curves without long runs.
 """
 
 import matplotlib.pyplot as plt
