@@ -168,7 +168,7 @@ class _Dual:
     Y: Array
 
 
-@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
+@np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
     """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if they are not finite.
 

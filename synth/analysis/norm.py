@@ -260,7 +260,7 @@ class Norm:
     """H-infinity norm of a system, computed by two methods.
 
     Attributes:
-        value: larger result of the two methods; infinite if the system is not stable.
+        value: larger of the results of the two methods; infinite if the system is not stable.
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
         level_set: result of the method of level sets.
         sweep: result of the frequency sweep.

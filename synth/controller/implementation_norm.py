@@ -113,7 +113,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
     """Checks the claimed lower bound of the sampled-data loop.
 
-    Returns a text about the claim if it is false, else an empty tuple.
+    Returns a description of the claim if the claim is false, otherwise an empty tuple.
 
     The discrete plant of the claimed level is computed again, and the dual solution is checked for this plant.
 
@@ -148,7 +148,7 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 
 
 def plant_as_built(vehicle: Vehicle) -> Plant:
-    """Returns the plant (15), with actuator lag if the vehicle file gives one.
+    """Returns the plant (15), with actuator lag if the vehicle file specifies a lag.
 
     The output z then contains the forces after the lag.
     """

@@ -32,10 +32,10 @@ LONGEST = 100.0  # longest sample period that is tested if the vehicle does not 
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled: all are cut, some are measured, or two copies of the law would drift apart.
+    """Returns True if all forces must be sampled: all are cut, some are measured, or two copies of the law would diverge.
 
-    Two copies drift apart if both have a mode that does not decay, such as an integrator, because no measurement contains their
-    difference.
+    Two copies diverge from each other if both have a mode that does not decay, such as an integrator, because no measurement
+    contains their difference.
     """
     law, mine = loop.acting_law, np.isin(loop.forces, forces)
     if mine.all() or loop.plant.part(loop.measured, loop.forces).D.any():

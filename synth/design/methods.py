@@ -21,7 +21,8 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
-# if the filters have states, the result of the two steps is accepted within this relative distance of the lower bound
+# if the filters have states, the result of the two steps is accepted if its relative gap to the lower bound is smaller than
+# this
 FAR = 0.01
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 # largest number of states for which a lower bound is computed automatically; with more states, the computation takes minutes

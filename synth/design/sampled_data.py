@@ -61,9 +61,9 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import own_units
 
 DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
-WITHIN = 1e-3  # the search ends if the relative distance of the norm above the lower bound is smaller than this
-# The search ends if a new level lowers the norm by less than this relative amount. The remaining relative distance is then
-# about the square of the last decrease
+WITHIN = 1e-3  # the search ends if the relative gap between norm and lower bound is smaller than this
+# The search ends if a new level lowers the norm by less than this relative amount. The remaining relative distance from the
+# limit is then about the square of the last decrease
 WORTH = 1e-4
 # Largest number of levels: by default, for laws that must themselves be stable (with one descent per level), and in `down`
 LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8
@@ -82,7 +82,7 @@ WORTHWHILE_GAIN = 5e-5  # if descent lowers the norm by less than this relative 
 SHARES = 2.0 ** -np.arange(11)
 STARTS = 3  # number of points with the lowest norms on the line from which a descent starts
 WORTH_ANOTHER = 1e-3  # the gain of another local minimum is used if it lowers the norm by more than this relative amount
-LITTLE = 1e-2  # a norm within this relative distance of a lower bound is not lowered further
+LITTLE = 1e-2  # a norm is not lowered further if its relative gap to a lower bound is smaller than this
 # largest number of states for which a lower bound and a second search are computed; with more states, both take minutes
 LARGEST_BOUNDED = 20
 # the highest level is an estimate of the norm, multiplied by a power of `FAR`; this is the number of powers that are tried
@@ -267,7 +267,7 @@ def _design_structured(
 
 
 def _above(found: SampledLaw, goal: float) -> str:
-    """Returns a text about the distance of a law's norm from the lower bound."""
+    """Describes the gap between a law's norm and the lower bound."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
 
@@ -384,7 +384,7 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
 
     Returns the new gain if its norm is at least 0.1 % lower, otherwise the given gain.
 
-     Args:
+    Args:
         end: given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
         far: a level far above the norm, for which a discrete plant exists. The norm of this plant is nearly proportional to the
             norm of the sampled-data loop.

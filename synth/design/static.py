@@ -55,8 +55,8 @@ AGAINST = 3  # number of starts if the argument `rival` is given
 MOST_STARTS = 8
 SAME = 1e-4  # two descents have found the same minimum if their norms differ by less than this relative amount
 BOUND_TOLERANCE = 1e-4  # the search ends if the norm exceeds the lower bound by less than this relative amount
-# Relative distance above the lower bound of the norm of the state feedback from which descent starts. A smaller distance gives
-# a larger gain
+# Relative gap between the lower bound and the norm of the state feedback from which descent starts. A smaller gap gives a
+# larger gain
 NEAR = 1e-3
 ZERO = 1e-9  # a norm below this multiple of the size of the plant's matrices counts as zero
 SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
@@ -99,15 +99,15 @@ def static_output_feedback(
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant. The gain on a row that depends linearly on other
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant. The gain on a row that depends linearly on other
             rows is zero.
         largest_gain: largest allowed |K_ij|, in the units of the plant. This limit keeps the gain finite if the norm continues
             to decrease as the gain grows. The search works in balanced coordinates, but a change of units changes the meaning
             of this limit and may lead to another local minimum.
         lower_bound: lower bound on the norm of every such controller. The search ends early if the norm is close to this bound,
             and the certificate contains the bound.
-        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero, or the matrix of the plant
-            if Cy is not given. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
+        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
+            the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.
         rival: norm that another design reaches. The search ends early if the norms of its gains stay far above this norm.
             Default: infinity, if there is no other design.
@@ -203,10 +203,9 @@ class GainSearch:
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
         structure: argument of `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
-            the limit.
-        enough: the search ends if the relative distance to the lower bound is below this value.
-        rival: argument of `static_output_feedback`.
-        work: counter of the work of the search. A descent ends if the limit of this counter is exceeded. Default: no limit.
+            the limit. enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
+                rival: argument of `static_output_feedback`. work: counter of the work of the search. A descent ends if the
+                limit of this counter is exceeded. Default: no limit.
         """
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)

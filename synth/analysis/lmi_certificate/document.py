@@ -123,7 +123,7 @@ class Document:
             loop: closed loop of the gain with this plant.
             certificate: certificate of the closed loop.
             of: plant to which the lower bound applies. The states of this plant are the first states of `plant`. None if the
-                file cannot contain a proof of the lower bound, because the plant of the bound has other states.
+                file cannot contain a proof of the lower bound, because the plant of the bound has different states.
         """
         proof, below = certificate.proof, certificate.below
         if certificate.stable:

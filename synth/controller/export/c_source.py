@@ -161,7 +161,7 @@ class CSource:
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def template(self, name: str, **words: str) -> str:
-        """Returns a text of the folder `c` in which `PREFIX` is replaced by the name of the law, and other words as given."""
+        """Returns a text of the folder `c` with `PREFIX` replaced by the name of the law, and other words replaced as given."""
         own = {"PREFIX": self.p, **words}
         return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))
 

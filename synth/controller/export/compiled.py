@@ -104,7 +104,7 @@ class CompiledStep:
     """
 
     def __init__(self, code: ExportedCode) -> None:
-        """Initialises the state of the code."""
+        """Initialises the controller state in the compiled code."""
         law, number = code.law, NUMBERS[code.law.numbers]
         kept = (law.states + (law.delay + 1) * len(law.outputs) + len(law.inputs)) * np.dtype(number).itemsize
         self.state = np.zeros(kept + INTEGER, dtype=np.uint8)

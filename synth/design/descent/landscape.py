@@ -40,7 +40,7 @@ from synth.plant.generalized import Plant
 FAR = 1e4  # a frequency above this multiple of the fastest pole counts as infinite
 EVERYWHERE = (0.0, np.inf)
 Band = tuple[float, float]  # lower and upper frequency [rad/s]
-POLES = 0.3  # work of computing the poles alone, as a share of the work of computing a norm
+POLES = 0.3  # computing work for the poles alone, relative to the work for a norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ MOST_ALIKE = 3  # largest number of similar singular values that are considered 
 
 
 class Work:
-    """Counter of the work that searches perform, with a limit. The unit is the work for one norm of a loop with 8 states.
+    """Counter of computing work, with a limit. One unit is the work that is needed to compute one norm of a loop with 8 states.
 
     Unlike a time limit, this count is the same on every machine. The same problem therefore always ends at the same gain.
     """
@@ -151,7 +151,7 @@ class Work:
 
 
 def price(states: int, entries: int) -> float:
-    """Returns the work for one norm, including the slopes and curvatures that a descent over this number of entries needs."""
+    """Returns the computing work for one norm, with the slopes and curvatures for a descent over this many gain entries."""
     return (0.4 + 0.6 * (states / 8) ** 2) * (1 + entries / 60)
 
 
@@ -168,11 +168,10 @@ class Landscape:
         work: Work | None = None,
         band: Band = EVERYWHERE,
     ) -> None:
-        """Args:
-        plant: generalised plant with n states, m inputs, r disturbances and q measurements.
-        structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
-        work: counter of the work for norms. Default: a counter without a limit.
-        band: lower and upper frequency [rad/s] between which gains count; all frequencies by default.
+        """Args: plant: generalised plant with n states, m inputs, r disturbances and q measurements. structure: mask, shape (m,
+        q): True for entries of K that may be nonzero. None if all entries may be nonzero. work: counter of the computing
+        work that is spent on norms. Default: a counter without a limit. band: lower and upper frequency [rad/s] between
+        which gains count; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)

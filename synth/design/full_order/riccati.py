@@ -233,7 +233,7 @@ def _root(A: Array, B: Array) -> Array:
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # the search ends if the relative distance of the norm above the lower bound is smaller than this
+WITHIN = 1e-3  # the search ends if the relative gap between norm and lower bound is smaller than this
 # Shares: power of the added noise relative to the disturbance of the states, and added cost relative to the weight of the
 # states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
@@ -247,7 +247,7 @@ MARGINS = (
     1e-2,
     1e-1,
     1.0,
-)  # relative distances of gamma above the smallest feasible gamma; a larger distance gives a slower law
+)  # relative margins of gamma above its smallest feasible value; a larger margin gives a controller with slower poles
 SAME = 1e-6  # states of a law are omitted only if the norm rises by less than this relative amount
 CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
 GRAIN = 2.0**-14  # step to which `_coarse` rounds the base-2 logarithm of a number
@@ -479,7 +479,7 @@ class RiccatiSearch:
         return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
-        """Returns the controller without negligible states, if this changes neither its norm nor raises its `trouble`."""
+        """Returns the controller without negligible states, if their removal neither changes its norm nor raises `trouble`."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
@@ -514,6 +514,6 @@ class RiccatiSearch:
 def _coarse(gamma: float) -> float:
     """Rounds a number down so that numbers which differ only by rounding errors usually give the same result (see GRAIN).
 
-    Without this, results would depend on units, because bounds in other units have other rounding errors.
+    Without this rounding, results would depend on units, because bounds in different units have different rounding errors.
     """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

@@ -38,7 +38,7 @@ class NormSpecification(CheckedFields):
         which: index of the plant in the attribute `plants` of a member.
         band: lower and upper frequency [rad/s].
         at_most: largest allowed norm; infinite for the norm that is minimised.
-        name: description of the norm, for messages.
+        name: description of the norm, used in error messages.
 
     Raises:
         InputError: the band is empty, or a field is not allowed.

@@ -242,7 +242,7 @@ class MinimaxSearch:
         return best, minimax.evaluate(best)
 
     def nearest_stable_point(self, x: Array) -> tuple[Array, Evaluation]:
-        """Returns the given point, or another point if needed, at which all loops are stable with all active errors."""
+        """Returns a point at which all loops are stable with all active errors: the given point, if possible."""
         sure = [] if self.safe_point is None else [self.safe_point]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:
