@@ -17,9 +17,9 @@ Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions,
 If some inputs do not appear in z, M - s E can be singular at every s. The pairs are therefore computed as [q; p] = N
 k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
 
-On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. The conditions
-of the plant on this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the
-disturbances that do not reach y at some frequency, or at infinity.
+On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On this axis,
+the conditions of the plant come from its invariant points (see `invariant_point.py`). The conditions of the transposed plant
+come from disturbances that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be close to a
 solution, and let R approximate the inverse of the derivative at (k, s). The residual includes its rounding error. An exact
@@ -42,7 +42,8 @@ from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power, own_units
 
 STEPS = 3  # number of Newton steps that improve the approximation of a zero
-# factor on the rounding error of a real sum of products, so that the error bound also covers complex products and matrix norms
+# factor by which the rounding error of a real sum of products is multiplied, so that the error bound also covers complex
+# products and matrix norms
 SAFE = 4.0
 # Relative amounts by which a bound is reduced, below the best bound in floating point, before it is proved. This leaves room
 # for the errors of the enclosures

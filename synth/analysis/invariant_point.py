@@ -7,8 +7,8 @@ The frequency and the direction are first estimated in floats. The proof is a pa
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x.
 
-The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers.
-Whether a pair exists therefore depends on no tolerance, even at a resonance or near a zero of Gu.
+The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers. The
+existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
 
 At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies.
 The reason is that a stabilising controller must also cancel the effect of w on this mode.

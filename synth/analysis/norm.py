@@ -69,7 +69,7 @@ def highest(T: Array, above: float) -> tuple[float, int]:
 
 
 def _smaller_square(T: Array) -> Array:
-    """Returns T T' or T' T, whichever is smaller."""
+    """Returns T T' or T' T, whichever has fewer rows."""
     adjoint = T.conj().transpose(0, 2, 1)
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
 

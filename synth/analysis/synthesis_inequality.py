@@ -56,7 +56,7 @@ from synth.plant.units import nearest_power
 GROWTH = 1e-9  # a mode counts as growing if its real part, relative to |A|, exceeds this value
 AXIS = 1e-9  # a zero counts as lying on the imaginary axis if its real part, relative to the largest zero, is below this value
 STEPS = 3  # number of Newton steps that improve the approximation of a zero
-SAFE = 4.0  # factor on the rounding error of a sum of products
+SAFE = 4.0  # safety factor by which the estimated rounding error of a sum of products is multiplied
 
 
 @dataclass(frozen=True, eq=False)

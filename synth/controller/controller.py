@@ -224,7 +224,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
 
 if TYPE_CHECKING:
-    AnyController = Controller | PythonController | SemiActive  # this controller can control a vehicle
+    AnyController = Controller | PythonController | SemiActive  # each of these types of controllers can control a vehicle
 else:
     # this is the base class; the modules of the other classes are imported only where these classes are used
     AnyController = ControlLaw

@@ -50,8 +50,9 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
     With tyre damping, a measurement may contain the road velocity. In this case, the mean velocity over the last period is
-    used. The energy of the road does not limit its velocity at an instant. This agrees with MuJoCo, where the road moves in
-    steps. The road height in a measurement is the integral of the road velocity. For the arguments, see `norm_as_implemented`.
+    used. A limit on the energy of the road velocity does not limit this velocity at a single instant. This agrees with MuJoCo,
+    where the road moves in steps. The road height in a measurement is the integral of the road velocity. For the arguments, see
+    `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
     problem = _sampled_problem(vehicle, controller.measured, period, controller.hardware.noise)

@@ -59,7 +59,7 @@ class Crossover:
 
     @property
     def delay(self) -> float:
-        """Delay that causes this phase lag [s]."""
+        """Delay that causes the phase lag at the frequency of the crossover [s]."""
         return self.phase / self.frequency
 
     @property

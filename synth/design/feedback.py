@@ -35,7 +35,7 @@ from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
 FEEDBACK = tuple(name for name in DESIGNS if name != PREVIEW)
-FeedbackDesign = DesignResult  # this name is exported
+FeedbackDesign = DesignResult  # public name of this class
 
 
 @numerics()

@@ -111,7 +111,7 @@ class DesignProblem:
             from its measurements.
         certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
             its loop with the plant.
-        work: counter of the work of all searches. Default: each search has its own counter.
+        work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error of the previous method, if it found no controller.
     """

@@ -365,8 +365,8 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
 
     Args:
         known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
-        near: estimate of the norm.
-        work: counter of the work of the search.
+        near: estimate of the norm, from which its computation starts.
+        work: counter of the computing work of the search.
     """
     nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
     line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
@@ -388,7 +388,7 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
         end: given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
         far: a level far above the norm, for which a discrete plant exists. The norm of this plant is nearly proportional to the
             norm of the sampled-data loop.
-        work: counter of the work of the search.
+        work: counter of the computing work of the search.
     """
     K, norm = end
     plant, level = held.at(norm) if np.isfinite(norm) else None, norm
@@ -413,7 +413,7 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     Args:
         held: sampled-data problem.
         K: gain on all measurements, shape (m, q).
-        near: estimate of the norm.
+        near: estimate of the norm, from which its computation starts.
 
     Raises:
         DesignError: the loop with K is not stable, or the norm is determined by the motion within one period, in which no force
@@ -442,7 +442,7 @@ def _gain(
 
     Args:
         far: a level far above the norm, for which a discrete plant exists.
-        work: counter of the work of the search.
+        work: counter of the computing work of the search.
     """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(held, rms=None)

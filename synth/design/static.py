@@ -79,7 +79,7 @@ class Candidate(NamedTuple):
 
 
 def bounded_work(plant: Plant) -> Work:
-    """Returns the limit on the work of a search for one controller of a plant.
+    """Returns the limit on the computing work of a search for one controller of a plant.
 
     The limit is higher for plants with more than 8 states.
     """
@@ -157,7 +157,7 @@ def design_by_descent(
         two_steps: result of the two-step method, or the reason why it found no gain.
         limits: bounds on the entries of the gain in the units of `Landscape`. In these units, a gain of 1 moves poles to about
             the speed of the plant's own poles.
-        work: common counter of the work of all searches. Default: each search has its own `bounded_work`.
+        work: common counter of the computing work of all searches. Default: each search has its own `bounded_work`.
 
     Returns:
         One design for each limit that was tried.
@@ -204,8 +204,8 @@ class GainSearch:
         structure: argument of `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
             the limit. enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
-                rival: argument of `static_output_feedback`. work: counter of the work of the search. A descent ends if the
-                limit of this counter is exceeded. Default: no limit.
+                rival: argument of `static_output_feedback`. work: counter of the computing work of the search. A descent ends
+                if the limit of this counter is exceeded. Default: no limit.
         """
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)

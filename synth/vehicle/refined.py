@@ -35,7 +35,7 @@ class RefinedController:
 
     @property
     def trade_off_text(self) -> str:
-        """Text about the trade-off between norm and gain."""
+        """Description of the trade-off between norm and gain."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 

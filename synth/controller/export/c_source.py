@@ -36,7 +36,7 @@ SEMI_ACTIVE = {
 }
 THIRD = ("add", "pdd", "skyhook_add")
 
-HERE = Path(__file__).parent / "c"  # texts in C, in which words in capitals are replaced
+HERE = Path(__file__).parent / "c"  # folder with C templates, in which words in capitals are replaced
 
 
 def literal(numbers: str, value: float) -> str:
@@ -57,7 +57,7 @@ def _function(head: str, lines: Sequence[str]) -> str:
 
 
 class CSource:
-    """C texts of a law: header, source and tables."""
+    """C code of a law: header, source and tables."""
 
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
         """Prepares the texts of a law.

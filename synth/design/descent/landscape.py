@@ -45,7 +45,7 @@ POLES = 0.3  # computing work for the poles alone, relative to the work for a no
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Closed loop with its modes.
+    """Closed loop, with its poles and modes.
 
     Attributes:
         loop: closed loop from `Landscape.loop`.
@@ -141,12 +141,12 @@ class Work:
 
     @property
     def over(self) -> bool:
-        """True if the work has reached its limit."""
+        """True if the computing work has reached its limit."""
         return self.done >= self.limit
 
     @property
     def text(self) -> str:
-        """Text with the reason why a search stopped."""
+        """Reason why a search stopped, as text."""
         return f"the search stopped at its limit of {self.limit:g} computed norms"
 
 
@@ -202,7 +202,7 @@ class Landscape:
         return x.reshape(*x.shape[:-1], *self.shape) * self.scale
 
     def point(self, K: Array) -> Array:
-        """Returns the point of a gain, shape (N,)."""
+        """Returns the point x that represents a gain, shape (N,)."""
         return self.of_entries(K / self.scale)
 
     def of_entries(self, values: Array) -> Array:
@@ -458,7 +458,7 @@ class Landscape:
         return largest_singular_values(self._responses(modes, omega))
 
     def _responses(self, modes: Modes, omega: Array) -> Array:
-        """Returns T at given frequencies, shape (F, d, r)."""
+        """Returns the transfer matrix T at given frequencies, shape (F, d, r)."""
         if modes.residues is None:
             return modes.loop.frequency_response(omega)
         T = (1 / (1j * omega[:, None] - modes.poles)) @ modes.residues

@@ -208,7 +208,7 @@ FIRST, LARGEST = 4.0, 1e6
 FLAT = 1e-7  # the descent ends if the relative decrease over `OVER` rounds is smaller than this
 OVER = 10
 MOST_PAIRS = 400
-LITTLE = 1e-3  # a function with a smaller weight does not contribute to the curvature
+LITTLE = 1e-3  # a function whose weight is smaller than this does not contribute to the curvature
 
 
 def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:

@@ -36,9 +36,9 @@ from synth.plant.generalized import Plant
 from synth.plant.units import size
 
 SMALLEST = -2  # exponent of ten of the smallest random gains, in the units of the landscape
-SAMPLES = 1000  # number of random gains in each decade
+SAMPLES = 1000  # number of random gains that are drawn in each decade of magnitude
 WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles takes no longer
-FEWEST = 20  # smallest number of random gains
+FEWEST = 20  # smallest number of random gains that are drawn, even for a large plant
 CLOSER = 24  # number of stabilising gains in each decade for which the norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call
 SPREAD = 1.5  # scales of inputs and measurements are varied by this many decades, upwards and downwards
@@ -93,7 +93,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
 
 
 def _count(landscape: Landscape) -> int:
-    """Returns the number of random gains in each group."""
+    """Returns the number of random gains that are drawn at a time."""
     return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.plant.A)) ** 3)))
 
 

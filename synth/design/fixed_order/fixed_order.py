@@ -240,7 +240,7 @@ class _Search:
 
     @property
     def no_law(self) -> str:
-        """Message that explains why there is no law."""
+        """Message that explains why no law was found."""
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:

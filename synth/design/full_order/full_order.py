@@ -95,8 +95,8 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         start: law from which the descent starts.
-        fastest: largest allowed pole, relative to the plant's own speed. If the starting law is faster, its own speed is the
-            limit.
+        fastest: largest allowed magnitude of a pole, relative to the plant's own speed. If the starting law is faster, its own
+            speed is the limit.
     """
     if not start.own.states:
         return []
@@ -129,7 +129,7 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
-        fastest: largest allowed pole, relative to the plant's own speed.
+        fastest: largest allowed magnitude of a pole, relative to the plant's own speed.
         rival: norm of another law, in the given units. The search ends early if the norm of a gain is far above this norm.
     """
     own, points = search.own, list[TradeOffPoint | None]()
@@ -169,8 +169,8 @@ def full_order_design(
 
     If no such controller is found, the result is the controller whose norm is closest to the bound.
 
-    Closed-loop poles that are more than 100 times as fast as the plant must be worthwhile. Each tenfold increase in speed must
-    lower the norm by at least 0.1 %.
+    Closed-loop poles that are more than 100 times as fast as the plant must be justified by a lower norm. Each tenfold increase
+    in speed must lower the norm by at least 0.1 %.
 
     Args:
         plant: generalised plant with n states and m inputs.

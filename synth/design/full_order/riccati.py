@@ -270,7 +270,7 @@ class TradeOffPoint:
         own: law in the plant's internal units.
         search: search that found the law.
         least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
-            the time of a norm, and the estimate rules out most points.
+            the time that a norm takes, and the estimate rules out most points.
         speed_up: fastest pole of the loop, relative to the plant's speed without control.
     """
 
@@ -367,9 +367,7 @@ class RiccatiSearch:
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
-        """Args:
-        quick: speed up to which a faster loop has no penalty [rad/s].
-        """
+        """Args: quick: speed up to which a loop has no penalty for its speed [rad/s]."""
         self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)

@@ -26,7 +26,7 @@ from synth.design.multi_objective.road_response import (
 STEP = 0.1
 # peaks are also searched for this many periods after the end of the road; the period is the longest period without control
 CYCLES = 2
-MOST = 20_000  # largest number of timesteps
+MOST = 20_000  # largest number of timesteps for which a response is computed
 SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the signal between two timesteps is unknown
 
 

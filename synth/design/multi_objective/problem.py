@@ -193,7 +193,7 @@ class MultiObjectiveProblem(CheckedFields):
         return [GainErrors(*np.split(errors, [self.shape[1]])) for errors in Box(-sides, sides).vertices]
 
     def alone(self, i: int) -> "MultiObjectiveProblem":
-        """Returns the same problem for a single member."""
+        """Returns the problem for a single member of the family."""
         return replace(self, members=(self.members[i],), bests=None)
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:

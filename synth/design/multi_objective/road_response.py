@@ -156,7 +156,8 @@ class RoadResponse:
 
     def motion(self, A: Array) -> tuple[Array, Array]:
         """Returns the motion xi for the loop matrix A at all times, shape (T, n), and at the ends of intervals, shape (P, n)."""
-        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # this value is real if all poles are real
+        # `np.linalg.eig` returns real arrays if all poles are real
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))
         E = A @ self.driven.plant.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)

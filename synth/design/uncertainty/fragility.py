@@ -63,7 +63,8 @@ def _float16(matrix: Array) -> Array:
     return (matrix / scale).astype(np.float16).astype(float) * scale
 
 
-SHARES = (0.01, 0.1)  # relative increases of the norm that gain errors may cause
+# allowed relative increases of the norm due to gain errors; the tolerated errors are computed for each of them
+SHARES = (0.01, 0.1)
 # sizes of gain errors that are tried along a ray. The largest size, 1, means that a measurement or a force may be missing
 AMOUNTS = tuple(0.75**k for k in reversed(range(20)))
 # Largest number of factors for which every corner of the box gives a ray. With more factors, the rays are found by a vertex

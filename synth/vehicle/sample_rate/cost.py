@@ -135,11 +135,11 @@ def cost(
     """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if it is missing, the
-            delay is 1.
+        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if no delay is given,
+            it is 1.
         controller: linear controller.
         periods: sample periods in ascending order [s].
-        designs: periods for which a static controller is also designed again [s].
+        designs: periods for which a static controller is also redesigned [s].
         done: function that is called with the number of finished periods.
 
     Raises:
