@@ -19,8 +19,8 @@ from synth.plant.numerics import DesignError
 from synth.plant.units import own_units
 from synth.vehicle.designer import Designer
 
-# Allowed relative difference between the two values of gamma. Clarabel stops at an error of eta of 1e-8 relative to the entries
-# of X, and these entries may be a thousand times larger than eta.
+# Allowed relative difference between the two values of gamma. Clarabel stops when the error of eta is 1e-8 relative to the
+# entries of X, and these entries may be a thousand times larger than eta.
 TOLERANCE = 1e-5
 
 

@@ -230,7 +230,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
-        if values[1:].any()  # False if the gain may not change at all
+        if values[1:].any()  # False if the gain must not change at all
     }
 
 

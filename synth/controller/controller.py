@@ -279,7 +279,7 @@ def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate
         entry: section of the vehicle file with the law.
 
     Returns:
-        The certificate, and texts of the claims that fail.
+        The certificate, and descriptions of the claims that fail.
 
     Raises:
         InputError: the certificate is malformed, or the algebraic loop has no solution (`Controller.law_on_states`).

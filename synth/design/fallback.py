@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
-# names of the methods that may have found a lower norm
+# texts that name the method by which a lower norm was found
 ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"

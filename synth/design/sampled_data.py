@@ -75,12 +75,13 @@ HIGHER = {False: 1.01, True: 1.1}
 # largest number of bisections that find the lowest level with a solution, and relative accuracy of this level
 LOWEST, BRACKETED = 40, 1e-4
 COSTS = (1e-3, 1e-5)  # relative amounts of measurement noise and control cost that are added to the plants in this bisection
-ABOVE = 1e-4  # the first level exceeds a lower bound that holds within one sample period by this relative amount
+# relative amount by which the first level exceeds a lower bound that follows from the motion within one sample period
+ABOVE = 1e-4
 
 WORTHWHILE_GAIN = 5e-5  # if descent lowers the norm by less than this relative amount, the gain of the two steps is kept
 # Factors that multiply a known gain, with both signs. A gain below a thousandth of the known gain counts as zero
 SHARES = 2.0 ** -np.arange(11)
-STARTS = 3  # number of points with the lowest norms on the line from which a descent starts
+STARTS = 3  # number of points on the line from which a descent starts: the points with the lowest norms
 WORTH_ANOTHER = 1e-3  # the gain of another local minimum is used if it lowers the norm by more than this relative amount
 LITTLE = 1e-2  # a norm is not lowered further if its relative gap to a lower bound is smaller than this
 # largest number of states for which a lower bound and a second search are computed; with more states, both take minutes

@@ -66,7 +66,8 @@ EQUAL = 1e-9
 SHARES = tuple(0.5**k for k in range(1, 41))  # multiples of a gain that are tried to find a smaller gain with the same norm
 DIFFERENT_STARTS = 3  # the trials end after this many successive multiples with a different norm
 HALVINGS = 10  # number of bisections that find the smallest multiple with the same norm, to a thousandth of the gain
-# limit on the number of norms that are computed, for loops with 8 states; this number takes 7 to 18 s of processor time
+# limit on the number of norms that are computed, for loops with 8 states; computing this many norms takes 7 to 18 s of
+# processor time
 LIMIT = 3e4
 
 

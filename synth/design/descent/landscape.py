@@ -217,7 +217,7 @@ class Landscape:
             return K
         if x.ndim == 1:
             return self.after(x) @ K
-        with contextlib.suppress(np.linalg.LinAlgError):  # an equation of the loop has no solution
+        with contextlib.suppress(np.linalg.LinAlgError):  # the algebraic loop has no solution
             return np.linalg.solve(np.eye(self.shape[0]) - K @ self.plant.Dyu, K)
         return np.full_like(K, np.nan)
 

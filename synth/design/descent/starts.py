@@ -16,7 +16,7 @@ Two descents look for a stabilising gain, from one starting point after another.
 because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
 
 - The first descent lowers the largest real part of the poles. This function decreases steeply, but it is not Lipschitz
-    continuous, and the descent stops where poles meet.
+  continuous, and the descent stops at gains where poles coincide.
 - The second descent lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
   every pole. As the norm falls, the poles move to the left, and the shift follows them.
 """

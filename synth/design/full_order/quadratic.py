@@ -31,8 +31,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", without its direct effect on z, whose power is infinite"
-# noise that a measurement without noise is assumed to have, and cost that a force without cost is assumed to have, in the
-# plant's internal units
+# assumed noise of a measurement without noise, and assumed cost of a force without cost, in the plant's internal units
 ASSUMED_SIZE = 1e-2
 NOTHING = 1e-13  # a value smaller than this is zero up to rounding, in the plant's internal units
 LITTLE = 1e-6  # a noise or weight below this value may be the reason why a design fails, in the plant's internal units

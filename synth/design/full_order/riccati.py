@@ -237,7 +237,7 @@ WITHIN = 1e-3  # the search ends if the relative gap between norm and lower boun
 # Shares: power of the added noise relative to the disturbance of the states, and added cost relative to the weight of the
 # states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
-STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the added share of noise and cost
+STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the share of noise and cost that is added
 # After the first share that is sufficient, these multiples of the share are also tried
 AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
 # relative amounts by which gamma may exceed the required norm, because the actual norm is often smaller than gamma
@@ -249,7 +249,7 @@ MARGINS = (
     1.0,
 )  # relative margins of gamma above its smallest feasible value; a larger margin gives a controller with slower poles
 SAME = 1e-6  # states of a law are omitted only if the norm rises by less than this relative amount
-CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
+CLOSE = 1e-4  # relative accuracy to which the smallest feasible gamma is computed
 GRAIN = 2.0**-14  # step to which `_coarse` rounds the base-2 logarithm of a number
 PARTS = (1.0, 0.1)  # the poles of a law that exceed one of these multiples of `much` are removed
 OWN_PART = 0.3  # in a further trial, the poles above this multiple of the law's own speed are removed

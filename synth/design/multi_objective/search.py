@@ -28,7 +28,7 @@ from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
-LARGEST_GAIN = 1e5  # largest entry of an unlimited gain while bounds are violated, in the units of a point
+LARGEST_GAIN = 1e5  # largest entry of a gain without a limit, as long as bounds are violated, in the units of a point
 # limit on the entries while a goal is lowered, as a multiple of the starting gain, or of one if the starting gain is smaller
 DEAREST = 32.0
 MOST_VERTICES = 4  # if a box of gain errors has at most this many vertices, all vertices are active from the beginning

@@ -71,7 +71,7 @@ AMOUNTS = tuple(0.75**k for k in reversed(range(20)))
 # search in boxes of the sizes `SIZES`
 EACH = 3
 SIZES = (0.05, 0.25, 1.0)
-EXACT = 1e-10  # relative accuracy of the size of a gain error along a ray
+EXACT = 1e-10  # relative accuracy to which the size of a gain error along a ray is computed
 WITHIN = 1e-3  # relative amount by which a box is made smaller before it is searched for gain errors with the same effect
 TURNS = 4  # the search for smaller gain errors is repeated at most this many times
 # A proof of stability is tried for boxes that are smaller, by these relative amounts, than the smallest gain errors that were
