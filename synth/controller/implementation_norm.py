@@ -39,7 +39,7 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
     Args:
         vehicle: vehicle with the implementation of the controller.
         controller: linear controller of this vehicle.
-        timestep: timestep of the simulations [s], used as the sample period if the vehicle file has none.
+        timestep: timestep of the simulations [s], used as the sample period if the vehicle file does not specify one.
     """
     ideal = controller.certificate.norm.value
     near = ideal if 0 < ideal < np.inf else 1.0

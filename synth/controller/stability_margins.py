@@ -253,7 +253,7 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
 
 
 def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover | None]:
-    """Returns the crossovers that lie between neighbouring phase lags of a fine grid with different numbers of unstable poles."""
+    """Returns the crossovers between those neighbouring phase lags of a fine grid whose numbers of unstable poles differ."""
     angles = np.linspace(0, 2 * np.pi, count)
     # The poles for the lag 2 pi - theta are the complex conjugates of the poles for the lag theta.
     half = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angles[: count // 2 + 1])))

@@ -170,7 +170,7 @@ class DesignResult(ShownResult):
         certificate: certificate of the closed loop, in continuous time or for a discrete plant; measurement noise is part of w.
         method: name of the design method.
         why: reason why this method was chosen, as text.
-        remarks: texts about the distance from the optimum, assumptions and unused measurements.
+        remarks: notes on the gap to the optimum, on assumptions, and on unused measurements.
         value: value of the minimised objective. Default: the norm in the certificate.
         criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None

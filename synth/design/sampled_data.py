@@ -137,7 +137,7 @@ def by_levels(
         best: a law that is already known, if any.
         levels: largest number of levels.
         higher: factor from one level to the next if no law was found.
-        work: counter of the work for norms; no new level begins after its limit is exceeded.
+        work: counter of the computing work that is spent on norms; no new level begins after its limit is exceeded.
 
     Raises:
         InfeasibleError: no law stabilises the plant.

@@ -221,7 +221,7 @@ def exported_law(
 
 
 def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
-    """Returns, by name, the range of every measurement whose peak a goal proves, and a text about the source of the range.
+    """Returns, by name, the range of every measurement whose peak a goal bounds, and a description of the range's source.
 
     The proved peak is valid for the ideal loop, so the factor `SPARE` allows for the effects of sampling and rounding. A
     measurement is clipped at its range.
