@@ -371,8 +371,8 @@ class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
     The discrete plant of a level has the states of the plant, and states for previous forces that are still delayed or part of
-    a measurement. The latest force comes first. Gains do not act on these states. A controller that uses its own previous
-    output is a control law with states.
+    a measurement. The latest force comes first. A static gain does not feed these states back. A controller that uses its own
+    previous output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its
     energy is T s^2 in units of w. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum

@@ -49,7 +49,7 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
         mu: smallest path parameter; see `central_path`.
 
     Raises:
-        NoSolutionError: no state feedback changes every mode by more than rounding.
+        NoSolutionError: there is a mode that no state feedback changes by more than rounding errors.
     """
     n = len(plant.A)
     # State feedback is found by a problem of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22) The force

@@ -82,7 +82,7 @@ class AtRate:
         undelayed_norm: norm of the loop without delay.
         delayed_norm: norm of the loop with the delay `Cost.delay`.
         designed_norm: norm, without delay, of a controller that was designed for this rate; None if there is no such design.
-        design_failure: if the design for this rate failed, the reason; else empty.
+        design_failure: reason why the design for this rate failed; empty if no design failed.
     """
 
     period: float
