@@ -1,10 +1,10 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
 The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
-result lies between two levels. The gain reaches the lower level at a frequency of the band. The gain exceeds the upper level,
-which is slightly higher, at no frequency of the band. To check the upper level, the imaginary part of every eigenvalue of the
-Hamiltonian matrix is treated as a possible crossing, regardless of its real part. Between two neighbouring crossings, or
-between a crossing and an edge of the band, the gain is above the level either everywhere or nowhere.
+result lies between two levels. At some frequency in the band, the gain reaches the lower level. The upper level is slightly
+higher, and the gain exceeds the upper level nowhere in the band. To check the upper level, the imaginary part of every
+eigenvalue of the Hamiltonian matrix is treated as a possible crossing, regardless of its real part. Between two neighbouring
+crossings, or between a crossing and an edge of the band, the gain is above the level either everywhere or nowhere.
 
 **A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
 the largest amplification of a sinusoid in the band. An unstable loop also has a frequency response, but its response to a

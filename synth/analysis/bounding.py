@@ -19,15 +19,16 @@ from synth.plant.units import size
 if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
-MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound above the norm, tried in this order until a bound is proved
-# bounds that are tried if the norm is nearly zero, relative to the gain that the size of the matrices suggests
+MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative gaps between bound and norm, tried in this order until a bound is proved
+# if the norm is nearly zero, these bounds are tried; they are relative to a gain that is estimated from the size of the
+# matrices
 SMALL = (1e-9, 1e-6, 1e-3)
-# power of the noise that is added to Bw Bw', as a fraction of the margin: small, but larger than rounding errors
+# noise power that is added to Bw Bw', as a fraction of the margin; it is small, but larger than rounding errors
 ADDED_NOISE = (1e-1, 1e-3, 1e-6)
 # power of the noise that is added to every state so that X > 0, relative to the power of the disturbance
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)
-# larger relative distances of the bound above the norm, tried if rounding prevents a closer proof, for example if large states
-# cancel in z
+# larger relative gaps between bound and norm, tried if rounding prevents a proof with a smaller gap, for example if large
+# states cancel in z
 LOOSE = (1.0, 10.0, 100.0)
 # power of the noise that is added to the states if a margin of `LOOSE` is tried, relative to the power of z. States that are
 # less observable in z receive more noise
@@ -94,7 +95,7 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
     Args:
         loop: stable loop in continuous time.
         gamma: bound, larger than the norm.
-        more: factor that multiplies the noise; small compared with the relative distance of gamma from the norm.
+        more: factor that multiplies the noise; it should be small compared with the relative gap between gamma and the norm.
         everywhere: fraction of the noise that acts on every state, including states that are not controllable from w.
         least_seen: True to add more of this noise in directions that are less observable in z.
 

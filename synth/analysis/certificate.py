@@ -23,8 +23,8 @@ with additional rows and columns:
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-As T decreases, the entries of this matrix approach the entries of the continuous matrix. No digits cancel, even at a sample
-rate of 1 kHz.
+As T decreases, the entries of this matrix approach the entries of the continuous matrix. No digits are lost by cancellation,
+even at a sample rate of 1 kHz.
 
 The LMI is *proved* for the given numbers in exact arithmetic (`analysis/rigorous.py`). This proves that the loop A + B G is
 stable and that its norm is below the bound. The norm itself is computed by two methods.
@@ -131,12 +131,13 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
 # a warning appears if the fastest pole of the loop exceeds this multiple of the plant's speed, because the actuators must then
 # be unusually fast
 FASTEST = 100.0
-# slowest decay rate that is useful, as a multiple of the plant's speed: a decay over 100 days in a plant that moves within 1 s
+# slowest useful decay rate, as a multiple of the plant's speed; if the plant moves within 1 s, such a decay takes 100 days
 SLOWEST = 1e-7
 BELOW = 1e-9  # relative amount by which rounding may put a computed norm below its lower bound
 # allowed relative difference between the norms that the two methods compute; about 1e-12 for a well-conditioned plant
 ROUTES_AGREE = 1e-6
-# allowed relative difference between the norm and the gain at the claimed peak; near a peak, the gain is flat
+# allowed relative difference between the norm and the gain at the claimed peak frequency; this frequency may be inexact,
+# because the gain is flat near a peak
 PEAKS_AGREE = 1e-9
 
 
@@ -192,7 +193,7 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(ShownResult):
-    """Claims about a closed loop, and their proofs.
+    """Results about a closed loop (stability, norm and bounds), with their proofs.
 
     Attributes:
         loop: closed loop.
@@ -201,8 +202,9 @@ class Certificate(ShownResult):
         norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
         proof: proof of the bound; None if there is no bound.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
-        moves: True if the plant has poles other than 0; its speed is then the magnitude of its fastest pole. If all poles are
-            at 0, the speed is the rate at which motion and driving force have equal weight in z (`units.own_units`).
+        moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of its fastest pole. If
+            all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
+            (`units.own_units`).
         norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
         below: proof of the lower bound for controllers of the same type; None if no lower bound was requested.
     """
@@ -221,7 +223,7 @@ class Certificate(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the norm, the bound, the lower bound, and the claims that fail."""
+        """Document with the norm, the proved bound, the lower bound, and the claims that do not hold."""
         return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
     @property
@@ -261,7 +263,7 @@ class Certificate(ShownResult):
 
     @property
     def gap(self) -> float | None:
-        """Relative distance of the norm from the lower bound; None if there is no lower bound, or if the norm is infinite."""
+        """Relative gap between the norm and its lower bound; None if there is no lower bound, or if the norm is infinite."""
         if self.lower_bound is None or not np.isfinite(self.norm.value):
             return None
         return self.norm.value / self.lower_bound - 1
@@ -283,7 +285,7 @@ class Certificate(ShownResult):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Warnings about the loop that do not contradict a claim."""
+        """Warnings about the loop; the claims remain valid despite these warnings."""
         remarks = []
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)

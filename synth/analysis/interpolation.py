@@ -17,9 +17,9 @@ Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions,
 If some inputs do not appear in z, M - s E can be singular at every s. The pairs are therefore computed as [q; p] = N
 k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
 
-On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. The conditions
-of the plant on this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the
-disturbances that do not reach y at some frequency, or at infinity.
+On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On this axis,
+the conditions of the plant come from its invariant points (see `invariant_point.py`). The conditions of the transposed plant
+come from disturbances that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be close to a
 solution, and let R approximate the inverse of the derivative at (k, s). The residual includes its rounding error. An exact
@@ -42,16 +42,17 @@ from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power, own_units
 
 STEPS = 3  # number of Newton steps that improve the approximation of a zero
-# factor on the rounding error of a real sum of products, so that the error bound also covers complex products and matrix norms
+# factor by which the rounding error of a real sum of products is multiplied, so that the error bound also covers complex
+# products and matrix norms
 SAFE = 4.0
-# Relative distances of the proved bound below the best bound in floating point. The distances leave room for the errors of the
-# enclosures
+# Relative amounts by which a bound is reduced, below the best bound in floating point, before it is proved. This leaves room
+# for the errors of the enclosures
 SHORT = (1e-9, 1e-6, 1e-3)
 TINY = 1e-60  # smallest gamma that the search tries; the largest is 1 / TINY
 SEED = 20261122
 # a singular value below this multiple of the largest one counts as zero, because the position of the plant's zero is rounded
 NEARLY = 1e-6
-APART = 1e-6  # if the relative distance of two zeros is smaller than this, only the first zero is used
+APART = 1e-6  # if the relative distance between two zeros is smaller than this, only the first zero is used
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # zeros from u to z, and zeros from w to y [rad/s]
 
@@ -72,11 +73,11 @@ class Node(NamedTuple):
     radii: tuple[float, float, float]
 
 
-@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
+@np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def zero_limit(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
-    """Returns the largest lower bound that zeros in the right half plane prove, and approximations of the zeros used.
+    """Returns the largest lower bound that is proved by zeros in the right half plane, and approximations of these zeros.
 
     The bound is 0 if the zeros prove nothing.
 
@@ -98,7 +99,7 @@ def zero_limit(
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
 
-@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
+@np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     """Returns the lower bound on the norm that the zeros near the given points prove; 0 if no zero can be enclosed."""
     left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))

@@ -7,8 +7,8 @@ The frequency and the direction are first estimated in floats. The proof is a pa
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x.
 
-The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers.
-Whether a pair exists therefore depends on no tolerance, even at a resonance or near a zero of Gu.
+The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers. The
+existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
 
 At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies.
 The reason is that a stabilising controller must also cancel the effect of w on this mode.
@@ -74,7 +74,7 @@ def limit_at(plant: Plant, omega: float) -> float:
     return proof_at(plant, omega)[0]
 
 
-@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
+@np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
     """Returns the norm of `limit_at` and the pair (q, p) that proves it.
 
@@ -155,7 +155,7 @@ def limit_at_infinity(plant: Plant) -> float:
 
 
 def _limit_beside(K: Array, direct: Array) -> float:
-    """Returns a proved norm of the matrix `direct`, applied to the vectors v with K' v = 0; 0 if only v = 0 satisfies this."""
+    """Returns a proved norm of the matrix `direct` for the vectors v with K' v = 0 only; 0 if v = 0 is the only such vector."""
     silent = Nullspace(integers(K)[0])
     if not silent.free or not direct.any():
         return 0.0
@@ -175,7 +175,7 @@ def is_pole(plant: Plant, omega: float) -> bool:
 
 
 def _states(plant: Plant, omega: float) -> Array:
-    """Returns A - j omega, or for a discrete plant the matrix that `_equations` uses instead."""
+    """Returns A - j omega or, for a discrete plant, the matrix by which `_equations` replaces it."""
     eye = np.eye(len(plant.A))
     if plant.dt is None:
         return plant.A - 1j * omega * eye

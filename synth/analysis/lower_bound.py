@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 # relative reductions of the best V12, tried in this order until V is proved to be positive definite
 SHRINK = (1e-9, 1e-6, 1e-3)
-SAFE = 4.0  # factor on the rounding error of a sum of products
+SAFE = 4.0  # safety factor by which the estimated rounding error of a sum of products is multiplied
 # factor that rounds a value down. The reduction exceeds the rounding errors of the dozen operations that compute the largest
 # eigenvalue
 DOWN = 1 - 2.0**-45
@@ -168,7 +168,7 @@ class _Dual:
     Y: Array
 
 
-@np.errstate(all="ignore")  # an infinite value or NaN gives no proof
+@np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
     """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if they are not finite.
 

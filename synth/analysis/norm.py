@@ -69,7 +69,7 @@ def highest(T: Array, above: float) -> tuple[float, int]:
 
 
 def _smaller_square(T: Array) -> Array:
-    """Returns T T' or T' T, whichever is smaller."""
+    """Returns T T' or T' T, whichever has fewer rows."""
     adjoint = T.conj().transpose(0, 2, 1)
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
 
@@ -260,7 +260,7 @@ class Norm:
     """H-infinity norm of a system, computed by two methods.
 
     Attributes:
-        value: larger result of the two methods; infinite if the system is not stable.
+        value: larger of the results of the two methods; infinite if the system is not stable.
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
         level_set: result of the method of level sets.
         sweep: result of the frequency sweep.

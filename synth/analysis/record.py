@@ -26,14 +26,15 @@ if TYPE_CHECKING:
 
 # keys of the lower bound on the gain of a sampled-data loop; the bound holds for controllers of any order
 SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"
-VEHICLE = "vehicle"  # key of the numbers that the vehicle file contained when the certificate was made, by section of the file
+# key under which a record stores the numbers that the vehicle file contained when the certificate was made, by section
+VEHICLE = "vehicle"
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF, VEHICLE)
 LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 # limits for the magnitude of numbers in a certificate, in SI units; the numbers of vehicles are far within these limits
 SMALLEST, LARGEST = 1e-60, 1e60
-SAME = 1e-9  # relative difference that rounding may cause between two computers
+SAME = 1e-9  # allowed relative difference between the results of two computers, which may round differently
 
 
 def to_record(certificate: Certificate) -> dict[str, Any]:
@@ -76,7 +77,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
     Args:
         record: record from `to_record`.
         plant: plant with n states, without the states of the controller.
-        kept: number of controller states, which are also states of X.
+        kept: number of controller states; X has rows and columns for these states, too.
 
     Raises:
         InputError: a key is unknown, or its value is null or malformed.

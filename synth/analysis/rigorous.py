@@ -224,7 +224,7 @@ def definiteness(M: Array) -> Definiteness:
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
-    """Returns True if all matrices of a stack are positive definite whatever the errors of their entries, up to `lost`.
+    """Returns True if all matrices of a stack are positive definite for all errors of their entries up to `lost`.
 
     Args:
         M: V matrices, shape (V, k, k); only their symmetric parts are used.

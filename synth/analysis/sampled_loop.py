@@ -7,7 +7,7 @@ same number of states,
 
 Consider any controller that acts at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from w_d to
 z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). If the held inputs are constant states of the plant, and w is in
-units of gamma, its matrices are
+units of gamma, the matrices of the discrete plant are
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
@@ -22,8 +22,8 @@ then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
 with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval is regular if and only if both intervals are regular and Bd1 Bd1'
-Cd2' Cd2 has no eigenvalue of 1 or more. No digits cancel. The code computes Ad - I instead of Ad, because Ad - I is small at a
-fast sample rate.
+Cd2' Cd2 has no eigenvalue of 1 or more. No digits are lost by cancellation. The code computes Ad - I instead of Ad, because Ad
+- I is small at a fast sample rate.
 """
 
 import math
@@ -371,8 +371,8 @@ class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
     The discrete plant of a level has the states of the plant, and states for previous forces that are still delayed or part of
-    a measurement. The latest force comes first. Gains do not act on these states. A controller that uses its own previous
-    output is a control law with states.
+    a measurement. The latest force comes first. A static gain does not feed these states back. A controller that uses its own
+    previous output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its
     energy is T s^2 in units of w. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum
@@ -396,7 +396,7 @@ class SampledDataProblem:
 
     @property
     def before(self) -> int:
-        """Number of samples since the force that acts just before a sample was computed."""
+        """Age of the force that acts just before a sample: number of samples since this force was computed."""
         return self.pieces[-1].delay_samples + 1
 
     @cached_property

@@ -189,7 +189,7 @@ def _poles(loop: SampledLoop) -> Array | None:
 
 
 class _Level:
-    """Closed loop of the controller and the discrete plant of a level."""
+    """Closed loop of the controller and the discrete plant that belongs to a level of the L2 gain."""
 
     def __init__(self, loop: SampledLoop, plant: LiftedPlant, level: float) -> None:
         self.loop, self.plant, self.level = loop, plant, level

@@ -11,7 +11,7 @@ from models.document.field import Field
 
 # key of the norm of the sampled-data loop in records; the norm is checked if the file describes an implementation
 SAMPLED_NORM = "sampled_norm"
-# this part holds only for weighted uncertainties
+# names of the specifications for frequency-weighted uncertainties
 ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"
 SAME = 1e-9  # relative tolerance for rounding when a value is compared with its limit
 

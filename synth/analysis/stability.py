@@ -1,7 +1,7 @@
 """Stability of a loop (stable, marginal or unstable), and modes that make stabilisation impossible.
 
 Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. A pole with the imaginary part
-omega is on the imaginary axis *to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
+omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
 singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
 the allowed distance from the axis is the condition number of the eigenvalue times |E|.
 

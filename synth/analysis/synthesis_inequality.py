@@ -56,7 +56,7 @@ from synth.plant.units import nearest_power
 GROWTH = 1e-9  # a mode counts as growing if its real part, relative to |A|, exceeds this value
 AXIS = 1e-9  # a zero counts as lying on the imaginary axis if its real part, relative to the largest zero, is below this value
 STEPS = 3  # number of Newton steps that improve the approximation of a zero
-SAFE = 4.0  # factor on the rounding error of a sum of products
+SAFE = 4.0  # safety factor by which the estimated rounding error of a sum of products is multiplied
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,8 @@ class SynthesisInequality:
     Attributes:
         J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
         coordinates: indices of a states; the corresponding columns of J form a diagonal matrix.
-        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). Divided by `scale`, and Q and b also by `unit`,
-            they are the matrices of the inequality.
+        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The inequality uses these matrices divided by
+            `scale`; Q and b are also divided by `unit`.
         unit, scale: powers of two by which the matrices of integers are divided.
         N: basis of all q with [B; D]' q = 0 that are orthogonal to the directions without cost, up to a factor; integers, shape
             (n + d, k).
@@ -212,7 +212,7 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
     return V[:, :0] if grows else V
 
 
-@np.errstate(all="ignore")  # an infinite value or NaN gives no enclosure
+@np.errstate(all="ignore")  # a value that is infinite or NaN never counts as an enclosure
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
     """Returns the part of the inequality that belongs to the unstable zeros, if it can be separated.
 

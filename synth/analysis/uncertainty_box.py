@@ -75,8 +75,8 @@ class ScaledGain:
         plant: plant in continuous time with n states, m inputs, d outputs z, r disturbances w and q measurements.
         K: nominal gain, shape (m, q).
         before: gain K0 that is subtracted from every gain, shape (m, q); see `plant.discrete.mapped`.
-        readings, forces: numbers of the first columns of K, which belong to measurements, and of the first rows, which belong
-            to forces. The other columns and rows belong to the states of the control law.
+        readings, forces: number of columns of K that belong to measurements, and number of rows that belong to forces. These
+            columns and rows come first. The other columns and rows belong to the states of the control law.
     """
 
     plant: Plant

@@ -19,8 +19,8 @@ from synth.plant.numerics import DesignError
 from synth.plant.units import own_units
 from synth.vehicle.designer import Designer
 
-# Allowed relative difference between the two values of gamma. Clarabel stops at an error of eta of 1e-8 relative to the entries
-# of X, and these entries may be a thousand times larger than eta.
+# Allowed relative difference between the two values of gamma. Clarabel stops when the error of eta is 1e-8 relative to the
+# entries of X, and these entries may be a thousand times larger than eta.
 TOLERANCE = 1e-5
 
 
@@ -31,10 +31,10 @@ class CrossCheck:
     Attributes:
         problem: number of the problem, "(22)" or "(25)".
         ours: optimal gamma from the central path.
-        optimum_gap: relative distance between the gamma of the designed gain and this optimum.
+        optimum_gap: relative gap between the gamma of the designed gain and this optimum.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
-        attained: gamma from Clarabel with the designed gain fixed; None if Clarabel failed.
-        said: status text of Clarabel if it did not solve both problems; else empty.
+        attained: gamma that Clarabel finds if the gain is fixed to the designed gain; None if Clarabel failed.
+        said: status text that Clarabel returned if it did not solve both problems; else empty.
     """
 
     problem: str

@@ -33,9 +33,10 @@ from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride
 # last stage of the progress display: computing the limit for all controllers and finding gains that are not unique
 FREE = "limits for every controller"
 MORE = "-v explains the columns and prints poles, notes and laws."
-# These options print their own results instead of gains and rides
+# If one of these options is given, its results are printed instead of gains and rides
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
-FLAT = 1e-4  # relative increase of gamma that is allowed; `--json` contains how far each gain may change within this increase
+# allowed relative increase of gamma; `--json` shows how far each gain may change until gamma has increased by this amount
+FLAT = 1e-4
 # a ride is called worse if it exceeds the passive ride by more than this factor; rounding in the table hides smaller
 # differences
 WORSE = 1.005
@@ -210,9 +211,9 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
 
-    If the table contains a state feedback, its gain is used; otherwise a gain is designed. The path of the design need not have
-    ended at this gain. The result is empty for a vehicle with integrals of measurements, because its state feedback is not just
-    a gain.
+    If the table contains a state feedback, its gain is used; otherwise a gain is designed. This gain is used even if its
+    central path ended early. The result is empty for a vehicle with integrals of measurements, because its state feedback is
+    not just a gain.
 
     Returns:
         For each state, the largest gain that acts on this state, and its allowed decrease and increase; None if unlimited.
@@ -229,7 +230,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
-        if values[1:].any()  # False if the gain may not change at all
+        if values[1:].any()  # False if the gain must not change at all
     }
 
 

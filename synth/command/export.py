@@ -207,7 +207,7 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
 
 
 def _about(model: FmuModel) -> str:
-    """Returns the documentation of a linear system."""
+    """Returns the documentation of a linear system, for its FMU."""
     named = [("input", one) for one in model.inputs] + [("output", one) for one in model.outputs]
     rows = "".join(f"{what:7} {one.name} [{one.unit}]: {one.meaning}\n" for what, one in named)
     return (

@@ -12,7 +12,7 @@ from synth.command.table import Row
 from synth.controller.report import NORM
 
 SHOWN_BAND = (0.3, 30.0)  # frequency range of the figure [Hz]; a goal whose band lies outside this range extends the range
-POINTS = 1500  # number of frequencies of a curve
+POINTS = 1500  # number of frequencies at which each curve is computed
 ROOM = 1.5  # factor by which the figure extends beyond the frequency bands of the goals
 
 

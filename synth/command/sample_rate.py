@@ -18,7 +18,7 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, cost
 from synth.vehicle.sample_rate.report import RECORD, describe, drawn_periods, failures, rates_figure
 
-MOST = 1000  # largest number of sample periods
+MOST = 1000  # largest number of sample periods that `--rates` accepts
 
 
 def periods_of(rates: Sequence[float]) -> list[float]:

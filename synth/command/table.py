@@ -68,13 +68,13 @@ class Row:
         controller: controller of the row; None if its design failed.
         notes: notes about the controller.
         failures: texts of the claims that do not hold, or the reason why the design failed.
-        worth: smallest relative decrease of the norm that `--refine` would achieve; 0 if the decrease is negligible.
+        worth: low estimate of the relative decrease of the norm that `--refine` would achieve; 0 if the decrease is negligible.
         witness: result of the cross-check with a second solver; None if not requested.
         sampled: norm of the sampled-data loop; None if the vehicle file describes no implementation.
         sampled_below: lower bound on the norm of the sampled-data loop for any controller with these measurements; None unless
             the controller is designed for this loop.
         fragile: gain errors that the controller tolerates; None if not requested.
-        answers: results that options requested, as texts that are also contained in `notes`.
+        answers: texts with the results that options requested; `notes` contains these texts, too.
         ride: expected weighted acceleration on an average road [m/s2]; None if it is not defined.
         refined: True if the controller was refined; its gain is then part of the answer.
         margins: stability of the law itself, and stability margins of its loop if they are small; None if there is no law.
@@ -106,7 +106,7 @@ class Row:
 
     @property
     def sampled_gap(self) -> float | None:
-        """Relative distance of the sampled-data norm from its lower bound; None if the norm or the bound is missing."""
+        """Relative gap between the sampled-data norm and its lower bound; None if the norm or the bound is missing."""
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
@@ -142,7 +142,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
         rows: rows of the table, one for each controller.
         limit: lower bound on the norm that no control force can change.
         plant: generalized plant of this bound.
-        apart: True to show sampled-data norms only in their own table.
+        apart: True to show sampled-data norms only in a separate table.
     """
     controllers = [row.controller for row in rows if row.controller is not None]
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)

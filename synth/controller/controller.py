@@ -45,9 +45,10 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         redundant: names of measured signals that are linear combinations of other measured signals; their gains are zero.
         certificate: certificate of the closed loop.
         degeneracy: text that explains why problem (22) has no optimum, or why every gain is optimal; else empty.
-        fallback_method: text about the fallback method that was used, and why the two-step method found no gain; else empty.
-        remarks: additional notes. For a design by another method than the two steps, they give the distance from the optimum,
-            or the objective.
+        fallback_method: name of the fallback method that was used, and the reason why the two-step method found no gain, as
+            text; else empty.
+        remarks: additional notes. If the law was not designed by the two steps, these notes give its gap to the optimum, or its
+            objective.
         false_claims: descriptions of those claims of a given certificate that do not hold.
         hardware: sensor noise, actuator lag and loads that the certificate takes into account.
         sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
@@ -223,7 +224,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
 
 if TYPE_CHECKING:
-    AnyController = Controller | PythonController | SemiActive  # this controller can control a vehicle
+    AnyController = Controller | PythonController | SemiActive  # each of these types of controllers can control a vehicle
 else:
     # this is the base class; the modules of the other classes are imported only where these classes are used
     AnyController = ControlLaw
@@ -258,7 +259,7 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
 
     Args:
         controller: controller to check.
-        what: text for the message that tells where the controller is used.
+        what: text that tells where the controller is used; the error message contains this text.
 
     Raises:
         InputError: the controller has a preview.
@@ -278,7 +279,7 @@ def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate
         entry: section of the vehicle file with the law.
 
     Returns:
-        The certificate, and texts of the claims that fail.
+        The certificate, and descriptions of the claims that fail.
 
     Raises:
         InputError: the certificate is malformed, or the algebraic loop has no solution (`Controller.law_on_states`).

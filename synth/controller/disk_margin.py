@@ -1,4 +1,4 @@
-"""Symmetric disk margin of a loop that is cut at its actuators, as by `Loop.cut`.
+"""Symmetric disk margin of a loop that is cut at its actuators (see `Loop.cut`).
 
 The margin is 1 / ||S - I / 2|| with S = (I - L)^-1, where L is the loop transfer function. Each force may have its own complex
 factor f. The loop is stable as long as |f - 1| / |f + 1| is below half the margin for every factor (Seiler, Packard, Gahinet

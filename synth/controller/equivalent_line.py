@@ -62,7 +62,7 @@ class EquivalentLine:
 def equivalent_line(
     vehicle: Vehicle, controller: Controller, deviations: Callable[[Vehicle, Sequence[str]], Array | None]
 ) -> EquivalentLine | None:
-    """Returns the linear vehicle that replaces a nonlinear vehicle; None if no stable loop fits its own lines.
+    """Returns the linear vehicle that replaces a nonlinear vehicle; None if the iteration finds no consistent and stable loop.
 
     Args:
         vehicle: vehicle with nonlinear characteristics.

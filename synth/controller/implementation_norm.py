@@ -39,7 +39,7 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
     Args:
         vehicle: vehicle with the implementation of the controller.
         controller: linear controller of this vehicle.
-        timestep: timestep of the simulations [s], used as the sample period if the vehicle file has none.
+        timestep: timestep of the simulations [s], used as the sample period if the vehicle file does not specify one.
     """
     ideal = controller.certificate.norm.value
     near = ideal if 0 < ideal < np.inf else 1.0
@@ -50,8 +50,9 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
     With tyre damping, a measurement may contain the road velocity. In this case, the mean velocity over the last period is
-    used. The energy of the road does not limit its velocity at an instant. This agrees with MuJoCo, where the road moves in
-    steps. The road height in a measurement is the integral of the road velocity. For the arguments, see `norm_as_implemented`.
+    used. A limit on the energy of the road velocity does not limit this velocity at a single instant. This agrees with MuJoCo,
+    where the road moves in steps. The road height in a measurement is the integral of the road velocity. For the arguments, see
+    `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
     problem = _sampled_problem(vehicle, controller.measured, period, controller.hardware.noise)
@@ -113,7 +114,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
     """Checks the claimed lower bound of the sampled-data loop.
 
-    Returns a text about the claim if it is false, else an empty tuple.
+    Returns a description of the claim if the claim is false, otherwise an empty tuple.
 
     The discrete plant of the claimed level is computed again, and the dual solution is checked for this plant.
 
@@ -148,7 +149,7 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 
 
 def plant_as_built(vehicle: Vehicle) -> Plant:
-    """Returns the plant (15), with actuator lag if the vehicle file gives one.
+    """Returns the plant (15), with actuator lag if the vehicle file specifies a lag.
 
     The output z then contains the forces after the lag.
     """

@@ -49,7 +49,7 @@ class LawMargins:
 
     Attributes:
         growth: growth rate of the fastest growing state of the law itself [1/s]; 0 if no state grows.
-        winds_up: if the law winds up, text about the limit that clips the forces; else empty.
+        winds_up: if the law winds up, description of the limit that clips the forces; else empty.
         gain: factor between 1 and `LEAST_GAIN` at which the loop becomes unstable; infinite if no such factor exists.
         gain_lower: factor between 1 / `LEAST_GAIN` and 1 at which the loop becomes unstable; 0 if no such factor exists.
         disk: symmetric disk margin from 0 to 2. None if the ideal loop is unstable, if no measurement causes a force, or if the

@@ -41,7 +41,7 @@ def with_lag(vehicle: Vehicle) -> LinearModel:
 
 
 def with_ending(names: Iterable[str], ending: str) -> tuple[str, ...]:
-    """Returns the names with an ending appended."""
+    """Returns the names with an ending appended to each name."""
     return tuple(f"{name}{ending}" for name in names)
 
 

@@ -54,8 +54,8 @@ class ClosedLoop:
         plant_without_law: plant without the states of the law.
         states: names of the states of the plant without the law.
         law_states: number of states of the law, which follow the states of the plant.
-        with_road_heights: if a constant road height affects z, closed loop with the road heights as its last states, which has
-            no finite norm; None otherwise.
+        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. This loop
+            has no finite norm. None otherwise.
         unbounded_outputs: indices of the entries of z that a constant road height affects.
     """
 
@@ -92,10 +92,10 @@ class Problem:
     Attributes:
         plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are the loads, followed
             by the measurement noises.
-        forces: measurements that are forces without lag, and therefore independent of the state: index of each one, with the
-            index of its input.
+        forces: measured forces without lag, which do not depend on the state: index of each such measurement, with the index of
+            its input.
         integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
-            last j measurements. None if there are none.
+            last j measurements. None if no integral is measured.
         integrals: indices of the states of the plant that are integrals.
         measured_integrals: indices of the states that are measured integrals, in the order of `integrated`.
         states: names of the states of the plant.
@@ -382,7 +382,7 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
             )
 
 
-SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if it is smaller, relative to the largest, than this
+SINGULAR = 1e-12  # a singular value of a balanced matrix counts as zero if its ratio to the largest one is smaller than this
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:

@@ -23,8 +23,8 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
-# allowed relative difference of a norm between two computers; a multiple of the distance between the levels that enclose the
-# norm
+# allowed relative difference between the norms that two computers compute; a multiple of the distance between the levels that
+# enclose the norm
 SAME = 10 * ABOVE
 ROUTES_AGREE = 1e-6  # largest allowed relative difference between a norm and the gain that an actual disturbance reaches
 
@@ -78,7 +78,7 @@ def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNo
 
 
 def norm_record(norm: SampledNorm | None) -> dict[str, float]:
-    """Returns the norm as certificates contain it; empty if the norm is None or infinite."""
+    """Returns the norm in the format of certificates; empty if the norm is None or infinite."""
     return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
 
 

@@ -32,10 +32,10 @@ LONGEST = 100.0  # longest sample period that is tested if the vehicle does not 
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled: all are cut, some are measured, or two copies of the law would drift apart.
+    """Returns True if all forces must be sampled: all are cut, some are measured, or two copies of the law would diverge.
 
-    Two copies drift apart if both have a mode that does not decay, such as an integrator, because no measurement contains their
-    difference.
+    Two copies diverge from each other if both have a mode that does not decay, such as an integrator, because no measurement
+    contains their difference.
     """
     law, mine = loop.acting_law, np.isin(loop.forces, forces)
     if mine.all() or loop.plant.part(loop.measured, loop.forces).D.any():
@@ -122,10 +122,10 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
 def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> float:
     """Returns the shortest sample period of some forces at which a continuous loop is unstable [s]; may be infinite.
 
-    The search increases the sample period in steps that turn no pole by more than 0.05 rad, until all motion has decayed. The
-    product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period, and it is negative where
-    the loop becomes unstable. The minima of this product reveal ranges of instability that are shorter than one step. The
-    result is 0 if a force returns undiminished through its own measurement.
+    The search increases the sample period until all motion has decayed, in steps so short that no pole turns by more than 0.05
+    rad. The product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period, and it is
+    negative where the loop becomes unstable. The minima of this product reveal ranges of instability that are shorter than one
+    step. The result is 0 if a force returns undiminished through its own measurement.
 
     Args:
         loop: loop that is stable in continuous time.

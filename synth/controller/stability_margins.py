@@ -6,9 +6,9 @@ w) is 1 at some frequency w. The margins are not read from a frequency grid. Let
 
 - Gain: a gain factor k moves a pole of A + k M to the imaginary axis only if the sum of two poles is zero. This requires that
   (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
-- Phase lag: a phase lag theta, with the factor z = exp(-j theta), moves a pole to the axis only if (A + z M) (+) (A + conj(z)
-    M) is singular. Since conj(z) = 1 /
-  z, this is a quadratic eigenvalue problem in z. The solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
+- Phase lag: a phase lag theta, with the factor z = exp(-j theta), moves a pole to the axis only if
+  (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 / z, this is a quadratic eigenvalue problem in z. The solutions
+  on the unit circle are all crossovers (Chen, Gu, Nett 1995).
 - Delay: a delay of theta / w causes the lag theta at the frequency w. The delay margin is the smallest delay of all crossovers.
 - Phase lead: a phase lead is 2 pi minus the phase lag. The crossover with the largest lag therefore has the smallest lead.
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
@@ -36,7 +36,8 @@ from synth.plant.state_space import StateSpace
 # a loop that is stable with this factor counts as having no upper limit, because rounding affects larger factors
 LARGEST_FACTOR = 1e4
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
-# two factors count as equal below this relative difference; a double eigenvalue has only half of the correct digits
+# two factors count as equal if their relative difference is smaller than this; only half of the digits of a double eigenvalue
+# are correct
 SAME = 1e-6
 ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; the numbers are odd, so that pi is one of the angles
 # Largest number of states for which the quadratic eigenvalue problem is solved. With more states, its matrix has over 500 rows,
@@ -58,7 +59,7 @@ class Crossover:
 
     @property
     def delay(self) -> float:
-        """Delay that causes this phase lag [s]."""
+        """Delay that causes the phase lag at the frequency of the crossover [s]."""
         return self.phase / self.frequency
 
     @property
@@ -252,7 +253,7 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
 
 
 def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover | None]:
-    """Returns the crossovers that lie between neighbouring phase lags of a fine grid with different numbers of unstable poles."""
+    """Returns the crossovers between those neighbouring phase lags of a fine grid whose numbers of unstable poles differ."""
     angles = np.linspace(0, 2 * np.pi, count)
     # The poles for the lag 2 pi - theta are the complex conjugates of the poles for the lag theta.
     half = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angles[: count // 2 + 1])))

@@ -74,7 +74,7 @@ def unpenalised_inputs(plant: Plant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Returns a message about the slowest undamped mode that is unobservable in z, because (22) then has no optimum.
+    """If undamped modes are unobservable in z, returns a message about the slowest one, because (22) then has no optimum.
 
     The list is empty if there is no such mode.
     """
@@ -117,7 +117,7 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns a basis of the observable states, shape (n, k), their plant, and the gain that hides the other states from z."""
+    """Returns a basis of the observable states, shape (n, k), their plant, and the gain that hides other states from z."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]

@@ -35,15 +35,15 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
-# names of the methods that may have found a lower norm
+# texts that name the method by which a lower norm was found
 ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
-NEAR = 1e-3  # a result of the two steps within this relative distance of the lower bound is not refined
-# relative distances of a state feedback's norm above the lower bound, tried in this order
+NEAR = 1e-3  # a result of the two steps is not refined if its relative gap to the lower bound is smaller than this
+# relative gaps between a state feedback's norm and the lower bound, tried in this order
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))
 MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from a starting gain of zero
-# limits on the entries of a gain, tried in this order until an actuator can follow the poles; as in `fixed_order.py`
+# limits on the entries of a gain, tried in this order until the poles are slow enough for an actuator; as in `fixed_order.py`
 LIMITS = (np.inf, 100.0, 10.0, 3.0)
 
 
@@ -158,7 +158,7 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
 
 
 def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: float) -> tuple[list[Array], str]:
-    """Returns the gain of a Riccati equation with the lowest norm that is slow enough, and the reason why none is lower.
+    """Returns the slow enough gain with the lowest norm from Riccati equations, and the reason why no lower norm was found.
 
     If a largest gain is given, poles that are too fast for an actuator are accepted. The list of gains is empty unless all
     states are measured.

@@ -35,7 +35,7 @@ from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
 FEEDBACK = tuple(name for name in DESIGNS if name != PREVIEW)
-FeedbackDesign = DesignResult  # this name is exported
+FeedbackDesign = DesignResult  # public name of this class
 
 
 @numerics()
@@ -72,7 +72,7 @@ def design_feedback(
         plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
         Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). Default: the measurements of the plant, or all states if the
             plant has no measurements.
-        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
         order: "static" (default), "full" for a law with as many states as the plant, or a smaller number of states.
         design: "lqr", "lqg" or "h2" to minimise the mean square of z instead of the H-infinity norm.
         stable: True if the law itself must be stable; only for a law with an `order`.
@@ -94,7 +94,7 @@ def design_feedback(
         pid: time constant [s] of the low-pass of the derivative for "pid", for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.
         lower_bound: lower bound on the norm of every controller from these measurements, if known; the certificate contains it.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
 
     Returns:
         The law (u = +K y for a gain), its certificate, and the attributes method, why and remark. If a sample period is given,
@@ -177,7 +177,7 @@ def _parts(
     family: Sequence[Plant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
-    """Returns the requested options that the table of compatible options contains, with each one as the user wrote it."""
+    """Returns those requested options that are in the table of compatible options, each as the user wrote it."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)

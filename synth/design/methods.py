@@ -21,7 +21,8 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
-# if the filters have states, the result of the two steps is accepted within this relative distance of the lower bound
+# if the filters have states, the result of the two steps is accepted if its relative gap to the lower bound is smaller than
+# this
 FAR = 0.01
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 # largest number of states for which a lower bound is computed automatically; with more states, the computation takes minutes
@@ -53,9 +54,9 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
     """Returns the reason why descent follows the two steps, as text; empty if it need not follow.
 
-    The two steps ignore noise. The gain is based on the X of problem (22). Its state feedback uses every state, including
-    filter states that y does not contain and that no control changes. If there are filters, descent therefore continues from
-    the result of the two steps. Descent also continues if the norm is larger than the norm without control.
+    The two steps ignore noise. The gain is based on the X of problem (22). The state feedback of this problem uses every state,
+    including filter states that y does not contain and that no control changes. If there are filters, descent therefore
+    continues from the result of the two steps. Descent also continues if the norm is larger than the norm without control.
     """
     plant, certificate = problem.plant, steps.certificate
     norm = certificate.norm.value

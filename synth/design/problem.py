@@ -47,7 +47,7 @@ def as_designed(law: LinearLaw) -> LinearLaw:
 
 
 def quiet(value: float, within: bool) -> None:
-    """Ignores the progress of a design."""
+    """Callback that ignores the progress of a design."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class WellPosedProblem:
 
     Attributes:
         plant: plant for which the design is made: the given plant, unless its problem is degenerate.
-        case: text about the degeneracy of the given problem; empty if the problem is not degenerate.
+        case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
         best: an optimal state gain, shape (m, n), if one is known.
-        best_case: text about the degeneracy that makes `best` optimal.
+        best_case: description of the degeneracy that makes `best` optimal.
         regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. No mode
             can then be hidden from z. If a force has no weight, (22) may still have no optimum.
     """
@@ -80,8 +80,8 @@ class DesignProblem:
 
     Attributes:
         plant: plant with n states, m inputs and q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for a law with as many states as the plant. If a `structure` is given, its order
-            applies instead.
+        order: "static" for a gain, or "full" for a law with as many states as the plant. If a `structure` is given, the order
+            of this structure is used.
         structure: structure of a law with fewer states than the plant; None if there is no such structure.
         design: name in `DESIGNS`, such as "h2" to minimise the mean square of z. If the name is empty, the H-infinity norm is
             minimised.
@@ -105,13 +105,13 @@ class DesignProblem:
         thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
             plants.
         lower_bound: lower bound on the norm of every controller from these measurements, if known.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
         path: function that returns the central path of (22) if it is known, or raises a DesignError.
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.
         certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
             its loop with the plant.
-        work: counter of the work of all searches. Default: each search has its own counter.
+        work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error of the previous method, if it found no controller.
     """
@@ -169,31 +169,33 @@ class DesignResult(ShownResult):
             a minus sign. A static law is u = K y. If the law has a sample period, x_c' is replaced by x_c at the next sample.
         certificate: certificate of the closed loop, in continuous time or for a discrete plant; measurement noise is part of w.
         method: name of the design method.
-        why: reason for this method, as text.
-        remarks: texts about the distance from the optimum, assumptions and unused measurements.
+        why: reason why this method was chosen, as text.
+        remarks: notes on the gap to the optimum, on assumptions, and on unused measurements.
         value: value of the minimised objective. Default: the norm in the certificate.
         criterion: name of the minimised objective: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
             if there is no sample period, or if no bound is proved.
         level: upper bound on the sampled norm that the LMI of the two-step method gives; None for other designs.
-        redundant: indices of the measurements that are linear combinations of others. The gain on these measurements is zero.
-        case: text about the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not degenerate.
-        instead: text with the fallback method and the reason why the two steps found no gain; empty if they found a gain.
-        state_step_gap: relative distance in gamma between the optimum of (22) and the point of the central path whose X gives L
-            (14). The distance is 0 at the limit of the path. The distance is larger if the second problem has no solution for
-            the X at the limit.
-        optimum_gap: relative distance in gamma between the gain and the optimum of its own problem. The distance is 0 at the
-            limit of the central path. The distance is larger if gains near the optimum have poles that are too fast for an
-            actuator.
+        redundant: indices of the measurements that are linear combinations of other measurements. The gain on these
+            measurements is zero.
+        case: description of the degeneracy of (22), for which no gain or every gain is optimal; empty if (22) is not
+            degenerate.
+        instead: name of the fallback method, and the reason why the two steps found no gain, as text; empty if they found a
+            gain.
+        state_step_gap: relative gap in gamma between the optimum of (22) and the point of the central path whose X gives L
+            (14). This gap is 0 at the limit of the path. The gap is larger if the second problem has no solution for the X at
+            the limit.
+        optimum_gap: relative gap in gamma between the gain and the optimum of its own problem. This gap is 0 at the limit of
+            the central path. The gap is larger if gains near the optimum have poles that are too fast for an actuator.
         moved: last change of the gain along its central path, relative to the largest entry of the gain. This change is about a
             hundred times the distance to the limit of the path. This change is at most 4e-5 for the built-in cars, and for the
             two steps of a chain of 40 states. For chains of 26 and 40 states, however, the state-feedback gain still grows a
             hundredfold if the path parameter mu decreases by a factor of a hundred. The norm of this gain is proved, but no
             digit of the gain agrees with the optimal gain.
-        origin: text about the starting point from which the search found the law; empty if there was no search.
+        origin: description of the starting point from which the search found the law; empty if there was no search.
         two_steps: result of the two steps, if the search for a static gain also started from this result; otherwise None.
-        starts: number of the other stable starts of this search.
-        preview: force from the road ahead, which adds to the force of the law; None if there is no preview.
+        starts: number of other stable points from which this search started.
+        preview: force from the road ahead, which is added to the force of the law; None if there is no preview.
         without: value that the objective would have without preview.
         trade: Pareto front of the norm and the speed of full-order laws, the slowest first. The front is empty if the law is
             close to the lower bound and not fast. For a discrete plant, the laws belong to its continuous counterpart.

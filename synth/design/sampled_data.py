@@ -61,9 +61,9 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import own_units
 
 DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
-WITHIN = 1e-3  # the search ends if the relative distance of the norm above the lower bound is smaller than this
-# The search ends if a new level lowers the norm by less than this relative amount. The remaining relative distance is then
-# about the square of the last decrease
+WITHIN = 1e-3  # the search ends if the relative gap between norm and lower bound is smaller than this
+# The search ends if a new level lowers the norm by less than this relative amount. The remaining relative distance from the
+# limit is then about the square of the last decrease
 WORTH = 1e-4
 # Largest number of levels: by default, for laws that must themselves be stable (with one descent per level), and in `down`
 LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8
@@ -75,14 +75,15 @@ HIGHER = {False: 1.01, True: 1.1}
 # largest number of bisections that find the lowest level with a solution, and relative accuracy of this level
 LOWEST, BRACKETED = 40, 1e-4
 COSTS = (1e-3, 1e-5)  # relative amounts of measurement noise and control cost that are added to the plants in this bisection
-ABOVE = 1e-4  # the first level exceeds a lower bound that holds within one sample period by this relative amount
+# relative amount by which the first level exceeds a lower bound that follows from the motion within one sample period
+ABOVE = 1e-4
 
 WORTHWHILE_GAIN = 5e-5  # if descent lowers the norm by less than this relative amount, the gain of the two steps is kept
 # Factors that multiply a known gain, with both signs. A gain below a thousandth of the known gain counts as zero
 SHARES = 2.0 ** -np.arange(11)
-STARTS = 3  # number of points with the lowest norms on the line from which a descent starts
+STARTS = 3  # number of points on the line from which a descent starts: the points with the lowest norms
 WORTH_ANOTHER = 1e-3  # the gain of another local minimum is used if it lowers the norm by more than this relative amount
-LITTLE = 1e-2  # a norm within this relative distance of a lower bound is not lowered further
+LITTLE = 1e-2  # a norm is not lowered further if its relative gap to a lower bound is smaller than this
 # largest number of states for which a lower bound and a second search are computed; with more states, both take minutes
 LARGEST_BOUNDED = 20
 # the highest level is an estimate of the norm, multiplied by a power of `FAR`; this is the number of powers that are tried
@@ -136,7 +137,7 @@ def by_levels(
         best: a law that is already known, if any.
         levels: largest number of levels.
         higher: factor from one level to the next if no law was found.
-        work: counter of the work for norms; no new level begins after its limit is exceeded.
+        work: counter of the computing work that is spent on norms; no new level begins after its limit is exceeded.
 
     Raises:
         InfeasibleError: no law stabilises the plant.
@@ -267,7 +268,7 @@ def _design_structured(
 
 
 def _above(found: SampledLaw, goal: float) -> str:
-    """Returns a text about the distance of a law's norm from the lower bound."""
+    """Describes the gap between a law's norm and the lower bound."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
 
@@ -365,8 +366,8 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
 
     Args:
         known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
-        near: estimate of the norm.
-        work: counter of the work of the search.
+        near: estimate of the norm, from which its computation starts.
+        work: counter of the computing work of the search.
     """
     nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
     line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
@@ -384,11 +385,11 @@ def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) ->
 
     Returns the new gain if its norm is at least 0.1 % lower, otherwise the given gain.
 
-     Args:
+    Args:
         end: given gain and its norm. The norm is infinite if the gain does not stabilise the loop.
         far: a level far above the norm, for which a discrete plant exists. The norm of this plant is nearly proportional to the
             norm of the sampled-data loop.
-        work: counter of the work of the search.
+        work: counter of the computing work of the search.
     """
     K, norm = end
     plant, level = held.at(norm) if np.isfinite(norm) else None, norm
@@ -413,7 +414,7 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     Args:
         held: sampled-data problem.
         K: gain on all measurements, shape (m, q).
-        near: estimate of the norm.
+        near: estimate of the norm, from which its computation starts.
 
     Raises:
         DesignError: the loop with K is not stable, or the norm is determined by the motion within one period, in which no force
@@ -442,7 +443,7 @@ def _gain(
 
     Args:
         far: a level far above the norm, for which a discrete plant exists.
-        work: counter of the work of the search.
+        work: counter of the computing work of the search.
     """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(held, rms=None)

@@ -55,8 +55,8 @@ AGAINST = 3  # number of starts if the argument `rival` is given
 MOST_STARTS = 8
 SAME = 1e-4  # two descents have found the same minimum if their norms differ by less than this relative amount
 BOUND_TOLERANCE = 1e-4  # the search ends if the norm exceeds the lower bound by less than this relative amount
-# Relative distance above the lower bound of the norm of the state feedback from which descent starts. A smaller distance gives
-# a larger gain
+# Relative gap between the lower bound and the norm of the state feedback from which descent starts. A smaller gap gives a
+# larger gain
 NEAR = 1e-3
 ZERO = 1e-9  # a norm below this multiple of the size of the plant's matrices counts as zero
 SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
@@ -66,7 +66,8 @@ EQUAL = 1e-9
 SHARES = tuple(0.5**k for k in range(1, 41))  # multiples of a gain that are tried to find a smaller gain with the same norm
 DIFFERENT_STARTS = 3  # the trials end after this many successive multiples with a different norm
 HALVINGS = 10  # number of bisections that find the smallest multiple with the same norm, to a thousandth of the gain
-# limit on the number of norms that are computed, for loops with 8 states; this number takes 7 to 18 s of processor time
+# limit on the number of norms that are computed, for loops with 8 states; computing this many norms takes 7 to 18 s of
+# processor time
 LIMIT = 3e4
 
 
@@ -79,7 +80,7 @@ class Candidate(NamedTuple):
 
 
 def bounded_work(plant: Plant) -> Work:
-    """Returns the limit on the work of a search for one controller of a plant.
+    """Returns the limit on the computing work of a search for one controller of a plant.
 
     The limit is higher for plants with more than 8 states.
     """
@@ -99,15 +100,15 @@ def static_output_feedback(
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant. The gain on a row that depends linearly on other
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant. The gain on a row that depends linearly on other
             rows is zero.
         largest_gain: largest allowed |K_ij|, in the units of the plant. This limit keeps the gain finite if the norm continues
             to decrease as the gain grows. The search works in balanced coordinates, but a change of units changes the meaning
             of this limit and may lead to another local minimum.
         lower_bound: lower bound on the norm of every such controller. The search ends early if the norm is close to this bound,
             and the certificate contains the bound.
-        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero, or the matrix of the plant
-            if Cy is not given. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
+        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
+            the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.
         rival: norm that another design reaches. The search ends early if the norms of its gains stay far above this norm.
             Default: infinity, if there is no other design.
@@ -157,7 +158,7 @@ def design_by_descent(
         two_steps: result of the two-step method, or the reason why it found no gain.
         limits: bounds on the entries of the gain in the units of `Landscape`. In these units, a gain of 1 moves poles to about
             the speed of the plant's own poles.
-        work: common counter of the work of all searches. Default: each search has its own `bounded_work`.
+        work: common counter of the computing work of all searches. Default: each search has its own `bounded_work`.
 
     Returns:
         One design for each limit that was tried.
@@ -203,10 +204,9 @@ class GainSearch:
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
         structure: argument of `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
-            the limit.
-        enough: the search ends if the relative distance to the lower bound is below this value.
-        rival: argument of `static_output_feedback`.
-        work: counter of the work of the search. A descent ends if the limit of this counter is exceeded. Default: no limit.
+            the limit. enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
+                rival: argument of `static_output_feedback`. work: counter of the computing work of the search. A descent ends
+                if the limit of this counter is exceeded. Default: no limit.
         """
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)

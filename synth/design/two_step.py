@@ -49,7 +49,7 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
         mu: smallest path parameter; see `central_path`.
 
     Raises:
-        NoSolutionError: no state feedback changes every mode by more than rounding.
+        NoSolutionError: there is a mode that no state feedback changes by more than rounding errors.
     """
     n = len(plant.A)
     # State feedback is found by a problem of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22) The force
@@ -199,7 +199,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     """Returns the last gain of a central path whose certificate holds and whose loop is slow enough for actuators.
 
     All certified loops may be too fast compared with the plant, for example if the plant hardly moves without control. In this
-    case, speeds are relative to the slowest of these loops instead of the plant.
+    case, the reference for speeds is the slowest of these loops, and not the plant.
 
     Raises:
         DesignError: no certificate holds.
@@ -251,11 +251,11 @@ def two_step_design(
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the matrix of the plant. The gain on rows that depend
+        Cy: matrix of the measurements y = C_y x, shape (q, n). Default: the Cy of the plant. The gain on rows that depend
             linearly on other rows is zero.
         path: central path of (22); if empty, the path is computed.
         lower_bound: lower bound on the norm of every controller from these measurements; the certificate contains it.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
 
     Returns:
         The law u = K y with K of shape (m, q), and its certificate. `redundant` contains the indices of dependent rows of C_y.

@@ -320,7 +320,7 @@ CENTRES = 24  # largest number of points that are computed on the path
 CENTRE_DECREMENT = 0.1  # a point counts as a point of the path if its Newton decrement is below this
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step
-SURE = 1.1  # safety factor on the distance of the last unknown, at a point of the path, from its smallest possible value
+SURE = 1.1  # safety factor on the distance between the last unknown at a point of the path and its smallest possible value
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:

@@ -2,12 +2,12 @@
 
 The optimum of (22) or (25) is attained by all pairs (X, Y) on a face of the feasible set. The value gamma is therefore unique,
 but the gain is not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The design
-is therefore defined as the limit for mu -> 0 of
+is therefore defined as the limit, for mu -> 0, of the unique solution of the problem
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-is unique. The limit depends neither on a solver nor on state coordinates, input units or the time unit, because these only add
-constants to the logarithms. The gains published in the paper are this limit.
+The limit depends neither on a solver nor on state coordinates, input units or the time unit, because these only add constants
+to the logarithms. The gains published in the paper are this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
 tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =

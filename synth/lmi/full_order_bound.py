@@ -30,9 +30,10 @@ from synth.plant.units import nearest_power, own_units, size
 
 # Value of mu / eta at the end of the path; the bound for state feedback is then within (2 n + d) mu / 2 of the best bound
 STATE_END = 1e-5
-ENOUGH = 1e-8  # a bound that is closer to the norm of the state feedback than this relative distance is not improved
+ENOUGH = 1e-8  # a bound is not improved further if its relative gap to the norm of the state feedback is smaller than this
 END = 1e-6  # value of mu / t at the end of the joint path; the bound is then within (2 n + d + n - q) mu / 2 of the best bound
-# no digits were lost to rounding if the proved bound is closer to the gamma of its point than this relative distance
+# a proof has lost no digits to rounding if the relative gap between the proved bound and the gamma of its point is smaller than
+# this
 SHARP = 1e-3
 # Largest number of unknowns of the joint path (33 states take minutes and 200 MB). For larger plants, the bound for state
 # feedback is used

@@ -16,7 +16,7 @@ from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.numerics import numerics
 
 AIM = 3e-7  # the search aims at a level for which the plant has a bound that exceeds 1 by this relative amount
-ENOUGH = 1e-6  # the search ends within this relative distance of the highest proved level
+ENOUGH = 1e-6  # the search ends if its level is within this relative distance of the highest proved level
 ROUNDS = 40  # largest number of iterations; most searches need about five
 
 

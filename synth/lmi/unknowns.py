@@ -42,7 +42,7 @@ class Basis:
 
     @property
     def plant(self) -> Plant:
-        """Plant to which the basis belongs, if it is only one."""
+        """Plant to which the basis belongs, if there is only one."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])

@@ -225,13 +225,13 @@ class Plant:
 
     @property
     def plant(self) -> "Plant":
-        """Plant without measurements. Deprecated name from `MeasuredPlant`; use the plant itself."""
+        """Plant without measurements. Deprecated attribute, which remains from `MeasuredPlant`; use the plant itself."""
         warnings.warn("`plant` will be removed in the next version; use the plant itself", DeprecationWarning, stacklevel=2)
         return self.unmeasured
 
     @property
     def through(self) -> Array:
-        """Feedthrough Dyu. Deprecated name from `MeasuredPlant`; use `Dyu`."""
+        """Feedthrough Dyu. Deprecated attribute, which remains from `MeasuredPlant`; use `Dyu`."""
         warnings.warn("`through` will be removed in the next version; use Dyu", DeprecationWarning, stacklevel=2)
         return self.Dyu
 

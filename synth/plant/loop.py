@@ -200,7 +200,7 @@ class Loop:
         return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
-        """Returns the loop that is cut at some forces and closed at the others, from acting forces to requested forces."""
+        """Returns the loop from acting to requested forces, cut at some forces and closed at all other forces."""
         others = [name for name in self.forces if name not in forces]
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)

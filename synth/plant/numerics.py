@@ -16,7 +16,7 @@ class DesignError(InputError):
 
 
 class InfeasibleError(DesignError):
-    """Proof that no controller of the requested kind stabilises the plant.
+    """Error that is raised if, provably, no controller of the requested type stabilises the plant.
 
     The message names the mode that cannot be stabilised, or gives another reason.
     """

@@ -22,7 +22,7 @@ FINEST = 2.0**-20
 ALIKE = 1e-6  # two units count as equally undetermined if their relative difference is smaller than this
 # offset for rounding exponents; it is not 0.5, so that a unit half-way between two powers of two is not ambiguous
 UPWARDS = 0.53
-DEPENDENT = 1e-10  # unit rows count as linearly independent if their smallest singular value is larger than this
+DEPENDENT = 1e-10  # rows of length 1 count as linearly independent if their smallest singular value is larger than this
 
 
 def reachable(plant: Plant, free: int) -> Array:

@@ -156,7 +156,7 @@ def controller_of(
 
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
-    """Returns a text about the H2 norm that the design minimises."""
+    """Describes the H2 norm that the design minimises."""
 
     at_once = FEATURES.load("H2 designs").AT_ONCE if np.any(problem.plant.Dw) else ""
     of_white_noise = "the rms of z if road velocity is white noise of intensity 1"

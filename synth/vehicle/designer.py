@@ -341,7 +341,7 @@ class Designer:
         return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
-        """Returns a relative decrease of a designed controller's norm that `refine` would achieve; 0 if it is negligible."""
+        """Returns a low estimate of the relative norm decrease that `refine` would achieve; 0 if it is negligible."""
         if (
             not controller.designed
             or controller.sampled  # a design for the sampled-data loop has already been refined

@@ -118,7 +118,8 @@ ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states in equation (30) ar
 BOX = 2e4  # largest allowed entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
 SEED = 1
 TOLERANCE = 1e-6  # the search ends if the norms in the population differ by less than this relative amount
-# smallest objective for an unstable loop; it is far above the norms of stable loops, and it increases with the growth rate
+# lower limit of the objective for unstable loops, far above the norms of stable loops; the objective increases from here with
+# the growth rate
 UNSTABLE = 1e6
 
 

@@ -23,7 +23,7 @@ class RefinedController:
     Attributes:
         controller: refined controller with its certificate.
         start: controller before refinement; None if the two steps found no gain.
-        origin: text about the starting point of the descent; empty if the descent began at `start`.
+        origin: description of the starting point of the descent; empty if the descent began at `start`.
         refinement: norms before and after the refinement, growth of the gain, and the decrease that was rejected because it was
             too small.
     """
@@ -35,7 +35,7 @@ class RefinedController:
 
     @property
     def trade_off_text(self) -> str:
-        """Text about the trade-off between norm and gain."""
+        """Description of the trade-off between norm and gain."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 
@@ -83,7 +83,7 @@ def refine_controller(
 
 
 def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
-    """Returns a relative decrease that refinement would achieve for the norm of a stable controller; 0 if it is negligible."""
+    """Returns a low estimate of the relative norm decrease that refinement would achieve; 0 if it is negligible."""
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0

@@ -112,7 +112,7 @@ class Verification:
             of: value of the quantity and proved bound, for each vehicle.
             at_most: largest allowed value; None if the quantity is minimised.
             unit: unit of the values.
-            at: text about where each value occurs, such as its frequency; may be empty.
+            at: description of where each value occurs, such as its frequency; may be empty.
             proofs: proof of each bound for all gain errors; empty if there are no errors.
         """
         i = int(np.argmax([value for value, _ in of]))

@@ -1,4 +1,4 @@
-"""Upper bounds as claims of LMI certificates, each with an X that proves the bound in rational arithmetic.
+"""Claims of LMI certificates about upper bounds. Each claim contains an X that proves its bound in rational arithmetic.
 
 X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. Then `check_certificate.py`
 checks the claim. A claim is returned only if this check proves it.
@@ -26,9 +26,9 @@ from synth.plant.generalized import Plant
 
 Claim = dict[str, Any]
 
-NOISE = (0.3, 1e-1, 1e-3)  # power of the noise for `bounding_x`, relative to the distance of the bound above the norm
-EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # powers of the noise on every state for `bounding_x`, tried in this order
-# relative distances of the bound above the norm, tried in this order if the user gives no bound
+NOISE = (0.3, 1e-1, 1e-3)  # noise powers that `bounding_x` adds, relative to the gap between bound and norm
+EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # fractions of this noise that act on every state in `bounding_x`, tried in this order
+# relative gaps between bound and norm, tried in this order if the user gives no bound
 ABOVE = (1e-6, 1e-4, 1e-2, 0.1)
 # if the user gives no decay rate, rates below the decay rate of the slowest pole by these relative amounts are tried
 SLOWER = (1e-3, 1e-2, 0.1)

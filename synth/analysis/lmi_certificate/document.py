@@ -4,9 +4,9 @@ A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as th
 This plant has the additional states x_c' = v with the inputs v, and it measures x_c.
 
 For a discrete law of a continuous plant, the claims concern its continuous counterpart by Tustin's method. This counterpart has
-the same gain, but another plant. With a = 2 / T, the plant has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The
-transfer function from v to x_c is then (a - s) / (a + s), which Tustin's method substitutes for 1 / z. In both cases, the file
-thus contains the matrices of the law itself.
+the same static gain as the discrete law, but a different plant. With a = 2 / T, the plant has the states xi' = -a xi + v and
+measures x_c = 2 a xi - v. The transfer function from v to x_c is then (a - s) / (a + s), which Tustin's method substitutes for
+1 / z. In both cases, the file thus contains the matrices of the law itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -123,7 +123,7 @@ class Document:
             loop: closed loop of the gain with this plant.
             certificate: certificate of the closed loop.
             of: plant to which the lower bound applies. The states of this plant are the first states of `plant`. None if the
-                file cannot contain a proof of the lower bound, because the plant of the bound has other states.
+                file cannot contain a proof of the lower bound, because the plant of the bound has different states.
         """
         proof, below = certificate.proof, certificate.below
         if certificate.stable:

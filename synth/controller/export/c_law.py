@@ -5,8 +5,8 @@ The computation in each sample has these steps:
 1. An input that is not finite is replaced by its last finite value.
 2. Measurements are quantised.
 3. The forces of a linear law are summed over the measurements, then over the states, in the order of the matrix columns.
-4. The forces are limited, and then their changes per sample. With semi-active dampers, the forces are converted to damping
-    coefficients instead.
+4. The forces are limited, and then their changes per sample are limited. For semi-active dampers, this step converts the forces
+    to damping coefficients instead of limiting them.
 5. The next states are computed by sums in the same order.
 6. The outputs that were computed `delay` samples earlier are returned.
 
@@ -37,7 +37,7 @@ STILL = {"double": 1e-150, "float": 1e-30}  # small velocity that replaces 0 in 
 # a measurement of this magnitude or larger is invalid
 LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}
 NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number of this magnitude or larger has no fractional part
-GIVEN_RANGE = "given"  # name of the source if the user gave the range, so that no peak bound proves it
+GIVEN_RANGE = "given"  # name of the source of a range that the user gave; such a range does not follow from a proved peak
 SPARE = 1.1  # factor that enlarges a proved peak, to allow for the effects of sampling and rounding
 KEYWORDS = frozenset(
     ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
@@ -70,7 +70,7 @@ class ExportedLaw:
         coefficients: numbers of the semi-active law; None for a linear law.
         modes: number of measurements of body modes; they come before the measurements of the suspensions.
         ranges: largest magnitude of each measurement for fixed-point code, shape (q,); None for floating point.
-        range_sources: text about the source of each range.
+        range_sources: text that describes the source of each range.
     """
 
     name: str
@@ -151,7 +151,7 @@ def exported_law(
         name: prefix of the names in C.
         ranges: largest magnitude of each measurement for fixed-point code, by name. Measurements with a proved peak may be
             omitted.
-        sources: texts about the sources of those `ranges` that the user did not give, by name.
+        sources: descriptions of the sources of those `ranges` that the user did not give, by name.
 
     Raises:
         InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers
@@ -221,7 +221,7 @@ def exported_law(
 
 
 def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
-    """Returns, by name, the range of every measurement whose peak a goal proves, and a text about the source of the range.
+    """Returns, by name, the range of every measurement whose peak a goal bounds, and a description of the range's source.
 
     The proved peak is valid for the ideal loop, so the factor `SPARE` allows for the effects of sampling and rounding. A
     measurement is clipped at its range.
@@ -240,7 +240,7 @@ def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
 def _ranges(
     vehicle: Vehicle, driver: AnyController, given: Mapping[str, float], sources: Mapping[str, str]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Returns the fixed-point range of each measurement of a controller, shape (q,), and texts about the sources of the ranges.
+    """Returns the fixed-point range of each measurement of a controller, shape (q,), and descriptions of their sources.
 
     Raises:
         InputError: a measurement has no range, a range belongs to no measurement, or the controller acts on dampers.

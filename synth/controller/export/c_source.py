@@ -36,7 +36,7 @@ SEMI_ACTIVE = {
 }
 THIRD = ("add", "pdd", "skyhook_add")
 
-HERE = Path(__file__).parent / "c"  # texts in C, in which words in capitals are replaced
+HERE = Path(__file__).parent / "c"  # folder with C templates, in which words in capitals are replaced
 
 
 def literal(numbers: str, value: float) -> str:
@@ -57,7 +57,7 @@ def _function(head: str, lines: Sequence[str]) -> str:
 
 
 class CSource:
-    """C texts of a law: header, source and tables."""
+    """C code of a law: header, source and tables."""
 
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
         """Prepares the texts of a law.
@@ -161,7 +161,7 @@ class CSource:
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def template(self, name: str, **words: str) -> str:
-        """Returns a text of the folder `c` in which `PREFIX` is replaced by the name of the law, and other words as given."""
+        """Returns a text of the folder `c` with `PREFIX` replaced by the name of the law, and other words replaced as given."""
         own = {"PREFIX": self.p, **words}
         return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))
 

@@ -25,7 +25,8 @@ from synth.controller.controller import AnyController
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
 from synth.controller.export.c_source import FLAGS, CSource
 
-INTEGER = 64  # bytes of the integers and the padding in the state struct; the numbers of the struct take further bytes
+# bytes for the integers and the padding in the state struct; the other numbers of the struct need additional bytes
+INTEGER = 64
 
 
 def own_compiler() -> str | None:
@@ -104,7 +105,7 @@ class CompiledStep:
     """
 
     def __init__(self, code: ExportedCode) -> None:
-        """Initialises the state of the code."""
+        """Initialises the controller state in the compiled code."""
         law, number = code.law, NUMBERS[code.law.numbers]
         kept = (law.states + (law.delay + 1) * len(law.outputs) + len(law.inputs)) * np.dtype(number).itemsize
         self.state = np.zeros(kept + INTEGER, dtype=np.uint8)

@@ -2,11 +2,11 @@
 
 The range of each measurement is given, and the measurement is clipped at its range. These ranges determine the peaks of the
 states, by sums over the responses of the states, and then the peaks of the forces. With units chosen for these peaks, no value
-can overflow. The unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. A quantised
-measurement uses its resolution as the unit instead, if its range has few enough steps.
+can overflow. The unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. If the range of a
+quantised measurement has few enough steps, its resolution is used as its unit.
 
-Each force and each next state is a sum of products of integer coefficients and integers. The sum is computed in 64 bits without
-overflow, divided by 2^shift, rounded to the nearest integer (ties away from 0), and clipped.
+Each force and each next state is a sum of products of integer coefficients with integer measurements or states. The sum is
+computed in 64 bits without overflow, divided by 2^shift, rounded to the nearest integer (ties away from 0), and clipped.
 """
 
 import math
@@ -38,8 +38,8 @@ class FixedPoint:
         seen: units of the measurements, shape (q,).
         given: units of the forces [N], shape (m,).
         state_units: units of the states, shape (k,).
-        rows: integer coefficients, shape (m + k, q + k + m). The rows belong to the forces, then to the next states. The
-            columns belong to the measurements, the states, and the parts of the forces that a limit removes.
+        rows: integer coefficients, shape (m + k, q + k + m). The first m rows belong to the forces, the other rows to the next
+            states. The columns belong to the measurements, the states, and the parts of the forces that a limit removes.
         shifts: exponent of each row by which its sum is divided (2^shift), shape (m + k,).
         limit: largest force, in the unit of each force, shape (m,); None without limit.
         change: largest change of a force per sample, in the unit of each force, shape (m,); None without limit.
@@ -116,7 +116,7 @@ def fixed_point(
     if limit is not None and L is None:
         forces = np.minimum(forces, limit)
     seen = np.where(resolution * largest >= ranges, resolution, _units(ranges, largest))
-    apart = 1 if change is None else 2  # the difference of two successive forces can be twice the peak
+    apart = 1 if change is None else 2  # the difference between two successive forces can be twice the peak force
     given, kept = _units(apart * ABOVE * forces, largest), _units(ABOVE * peaks, largest)
     whole = np.block([[D, C, np.zeros((m, m))], [B, A, np.zeros((k, m)) if L is None else L]])
     whole = whole * np.concatenate([seen, kept, given]) / np.concatenate([given, kept])[:, None]

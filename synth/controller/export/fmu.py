@@ -45,7 +45,7 @@ TARGETS = {
         "aarch64-darwin": ("aarch64-macos",),
     },
 }
-# numbers of type and subtype of the processor in a Mach-O file
+# numbers that denote the type and the subtype of the processor in a Mach-O file
 PROCESSORS = {"x86_64-macos": (0x0100_0007, 3), "aarch64-macos": (0x0100_000C, 0)}
 # number at the start of a Mach-O file for several processors, whose parts are aligned to 2**14 bytes
 FAT, ALIGNED = 0xCAFE_BABE, 14
@@ -61,7 +61,7 @@ class Fmu:
     Attributes:
         content: bytes of the file.
         token: GUID (FMI 2) or instantiation token (FMI 3).
-        platforms: folders of its binaries.
+        platforms: folders of the binaries in the FMU.
         missing: reason why binaries for some platforms are missing; empty if no platform is missing.
     """
 
@@ -127,7 +127,7 @@ def zip_files(files: Mapping[str, bytes]) -> bytes:
 
 
 def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int) -> tuple[dict[str, bytes], str]:
-    """Returns the bytes of the binaries by folder, and a text about platforms for which no binary could be built."""
+    """Returns the bytes of the binaries by folder, and a text that lists platforms for which no binary could be built."""
     with tempfile.TemporaryDirectory(prefix="fmu") as folder:
         place = Path(folder)
         for name, text in sources.items():

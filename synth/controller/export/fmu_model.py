@@ -30,8 +30,9 @@ class FmuModel:
         period: required length of a step [s]; None if steps may have any length.
         delay: delay from an input to its output [samples]; 0 for a linear system.
         start: outputs before the first step, shape (p,).
-        slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The rows belong to the outputs, then to the
-            derivatives of the states. The columns belong to the inputs, then to the states.
+        slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The first p rows belong to the outputs, the
+            other rows to the derivatives of the states. The first m columns belong to the inputs, the other columns to the
+            states.
         sources: C files of this model, by file name.
     """
 

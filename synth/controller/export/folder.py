@@ -27,7 +27,7 @@ VECTORS, SEED = 1000, 20261126
 INVALID = 50  # one in this many test vectors has an input that is not finite
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 CERTIFICATES = "certificates"  # name of the folder with the LMI certificates
-SAME = 1e-9  # relative difference between two tables that rounding may cause between two computers
+SAME = 1e-9  # allowed relative difference between two tables from different computers, which may round differently
 
 
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
@@ -273,7 +273,7 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool
 
 
 def _near(one: Array | None, other: Array | None) -> bool:
-    """Returns True if two tables are equal, except for rounding on another machine."""
+    """Returns True if two tables are equal, except for differences in rounding between machines."""
     if one is None or other is None:
         return one is other
     return one.shape == other.shape and np.allclose(one, other, rtol=SAME, atol=SAME * np.abs(other).max(initial=0.0))

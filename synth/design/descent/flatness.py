@@ -10,8 +10,8 @@ from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant
 
 SMALLEST = 1e-4  # size of the first step, relative to the scale of the gain entry
-# Number of steps, each four times as long as the previous one; if all of them are allowed, the change counts as unlimited. Then
-# number of bisections, which determine the allowed change to within 1 %
+# (steps, bisections): number of steps, each four times as long as the previous one, and number of bisections. If all steps are
+# allowed, the change counts as unlimited. Otherwise, the bisections determine the allowed change to within 1 %
 STEPS, HALVINGS = 16, 8
 
 

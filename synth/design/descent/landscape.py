@@ -40,12 +40,12 @@ from synth.plant.generalized import Plant
 FAR = 1e4  # a frequency above this multiple of the fastest pole counts as infinite
 EVERYWHERE = (0.0, np.inf)
 Band = tuple[float, float]  # lower and upper frequency [rad/s]
-POLES = 0.3  # work of computing the poles alone, as a share of the work of computing a norm
+POLES = 0.3  # computing work for the poles alone, relative to the work for a norm
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Closed loop with its modes.
+    """Closed loop, with its poles and modes.
 
     Attributes:
         loop: closed loop from `Landscape.loop`.
@@ -131,7 +131,7 @@ MOST_ALIKE = 3  # largest number of similar singular values that are considered 
 
 
 class Work:
-    """Counter of the work that searches perform, with a limit. The unit is the work for one norm of a loop with 8 states.
+    """Counter of computing work, with a limit. One unit is the work that is needed to compute one norm of a loop with 8 states.
 
     Unlike a time limit, this count is the same on every machine. The same problem therefore always ends at the same gain.
     """
@@ -141,17 +141,17 @@ class Work:
 
     @property
     def over(self) -> bool:
-        """True if the work has reached its limit."""
+        """True if the computing work has reached its limit."""
         return self.done >= self.limit
 
     @property
     def text(self) -> str:
-        """Text with the reason why a search stopped."""
+        """Reason why a search stopped, as text."""
         return f"the search stopped at its limit of {self.limit:g} computed norms"
 
 
 def price(states: int, entries: int) -> float:
-    """Returns the work for one norm, including the slopes and curvatures that a descent over this number of entries needs."""
+    """Returns the computing work for one norm, with the slopes and curvatures for a descent over this many gain entries."""
     return (0.4 + 0.6 * (states / 8) ** 2) * (1 + entries / 60)
 
 
@@ -168,11 +168,10 @@ class Landscape:
         work: Work | None = None,
         band: Band = EVERYWHERE,
     ) -> None:
-        """Args:
-        plant: generalised plant with n states, m inputs, r disturbances and q measurements.
-        structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
-        work: counter of the work for norms. Default: a counter without a limit.
-        band: lower and upper frequency [rad/s] between which gains count; all frequencies by default.
+        """Args: plant: generalised plant with n states, m inputs, r disturbances and q measurements. structure: mask, shape (m,
+        q): True for entries of K that may be nonzero. None if all entries may be nonzero. work: counter of the computing
+        work that is spent on norms. Default: a counter without a limit. band: lower and upper frequency [rad/s] between
+        which gains count; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)
@@ -203,7 +202,7 @@ class Landscape:
         return x.reshape(*x.shape[:-1], *self.shape) * self.scale
 
     def point(self, K: Array) -> Array:
-        """Returns the point of a gain, shape (N,)."""
+        """Returns the point x that represents a gain, shape (N,)."""
         return self.of_entries(K / self.scale)
 
     def of_entries(self, values: Array) -> Array:
@@ -218,7 +217,7 @@ class Landscape:
             return K
         if x.ndim == 1:
             return self.after(x) @ K
-        with contextlib.suppress(np.linalg.LinAlgError):  # an equation of the loop has no solution
+        with contextlib.suppress(np.linalg.LinAlgError):  # the algebraic loop has no solution
             return np.linalg.solve(np.eye(self.shape[0]) - K @ self.plant.Dyu, K)
         return np.full_like(K, np.nan)
 
@@ -459,7 +458,7 @@ class Landscape:
         return largest_singular_values(self._responses(modes, omega))
 
     def _responses(self, modes: Modes, omega: Array) -> Array:
-        """Returns T at given frequencies, shape (F, d, r)."""
+        """Returns the transfer matrix T at given frequencies, shape (F, d, r)."""
         if modes.residues is None:
             return modes.loop.frequency_response(omega)
         T = (1 / (1j * omega[:, None] - modes.poles)) @ modes.residues

@@ -36,7 +36,8 @@ STAGE = 30  # number of rounds in a stage of the descent
 WORTH_A_STAGE = 3e-5  # another stage follows only if the norm decreased by at least this relative amount in the last stage
 ENDING_DECREASE = 1e-5  # a stage ends if the norm decreases by less than this relative amount over `OVER` rounds
 
-NEAR = 0.7  # the first solution already includes the limits of all entries that are larger than this share of their limit
+# the first solution of a subproblem includes the limits of all entries that are larger than this share of their limit
+NEAR = 0.7
 
 # a bound that is exceeded by less than this relative amount counts as fulfilled. The bounds were tightened by more than this
 # amount
@@ -207,7 +208,7 @@ FIRST, LARGEST = 4.0, 1e6
 FLAT = 1e-7  # the descent ends if the relative decrease over `OVER` rounds is smaller than this
 OVER = 10
 MOST_PAIRS = 400
-LITTLE = 1e-3  # a function with a smaller weight does not contribute to the curvature
+LITTLE = 1e-3  # a function whose weight is smaller than this does not contribute to the curvature
 
 
 def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
@@ -253,8 +254,8 @@ def descend(
         rounds: largest number of iterations.
         on_progress: callback that receives every new point and its evaluation.
         enough: value of the goal at which the descent ends.
-        settled: the descent ends immediately, without another refinement of the model, if the predicted relative decrease is
-            smaller.
+        settled: if the predicted relative decrease is smaller than this, the descent ends immediately, without another
+            refinement of the model.
         flat: the descent ends if the relative decrease over `OVER` rounds is below this value.
 
     Returns:

@@ -60,9 +60,9 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
         K: gain of u = K y from which the descent starts, shape (m, q).
-        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
 
     Returns:
         The refined gain, and the norms before and after the refinement.
@@ -90,7 +90,7 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
 
 
 def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
-    """Performs `refine` on the landscape of a plant. No new stage begins after the limit of the work is exceeded."""
+    """Performs `refine` on the landscape of a plant. No new stage begins after the limit on the computing work is exceeded."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):

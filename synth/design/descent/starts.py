@@ -16,7 +16,7 @@ Two descents look for a stabilising gain, from one starting point after another.
 because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
 
 - The first descent lowers the largest real part of the poles. This function decreases steeply, but it is not Lipschitz
-    continuous, and the descent stops where poles meet.
+  continuous, and the descent stops at gains where poles coincide.
 - The second descent lowers the norm of (s - A - B K C_y + shift)^-1, which is finite while the shift exceeds the real part of
   every pole. As the norm falls, the poles move to the left, and the shift follows them.
 """
@@ -36,9 +36,9 @@ from synth.plant.generalized import Plant
 from synth.plant.units import size
 
 SMALLEST = -2  # exponent of ten of the smallest random gains, in the units of the landscape
-SAMPLES = 1000  # number of random gains in each decade
-WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles takes the same time
-FEWEST = 20  # smallest number of random gains
+SAMPLES = 1000  # number of random gains that are drawn in each decade of magnitude
+WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles takes no longer
+FEWEST = 20  # smallest number of random gains that are drawn, even for a large plant
 CLOSER = 24  # number of stabilising gains in each decade for which the norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call
 SPREAD = 1.5  # scales of inputs and measurements are varied by this many decades, upwards and downwards
@@ -59,7 +59,7 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
 
 
 def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: int) -> Array | None:
-    """Returns the best stable point among random points, made by a random factor for each entry; None if no point is stable.
+    """Multiplies each entry of a point by random factors, and returns the best stable result; None if no result is stable.
 
     Args:
         x: centre of the random points, shape (N,).
@@ -93,7 +93,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
 
 
 def _count(landscape: Landscape) -> int:
-    """Returns the number of random gains in each group."""
+    """Returns the number of random gains that are drawn at a time."""
     return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.plant.A)) ** 3)))
 
 
@@ -145,7 +145,7 @@ REGULAR = (0.0, 1e-6, 1e-3)  # relative costs of all forces, tried in this order
 
 
 def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
-    """Returns the point of a state feedback with a norm below a given level.
+    """Returns a list with the point of a state feedback whose norm is below a given level.
 
     The list is empty unless all states are measured without noise.
     """
@@ -166,8 +166,9 @@ SHIFT_BEYOND = 0.03
 
 MOST_SHIFTS = 40
 ROUNDS = 100  # largest number of rounds in the descent that reduces the largest real part of the poles
-OF_ALL = 2.0  # work of computing a norm from every state to every state, relative to the work of computing the plant's norm
-# the descent stops if, after this number of shifts, the largest real part has not decreased to this share of its earlier value
+OF_ALL = 2.0  # computing work for a norm from all states to all states, relative to the work for the plant's norm
+# (share, number of shifts): the descent stops if, after so many shifts, the largest real part still exceeds this share of its
+# earlier value
 STALLED_SHIFTS = 0.92, 5
 
 

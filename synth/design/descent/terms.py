@@ -44,7 +44,7 @@ class Term(ABC):
 
     @abstractmethod
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value at x divided by the unit.
+        """Returns the value of the term at x, divided by the unit.
 
         If the value exceeds `above`, the method may return a lower bound. The value is infinite if the loop is unstable.
         """

@@ -3,7 +3,7 @@
 A law with k states is a special case of a law with k + 1 states, so the search increases the order step by step, beginning with
 a static gain. For each order, the starting points of the search are
 
-- full-order laws, reduced to this order (`reduction.py`): laws with nearly the smallest norm, and slower laws;
+- full-order laws, reduced to this order (`reduction.py`): laws with nearly the smallest norm, and laws with slower poles;
 - the law with one state less, to which a state is added that receives the measurements but has no effect yet;
 - random laws of every magnitude, if none of these laws is stable.
 
@@ -57,8 +57,8 @@ WIDER = (1e4, 100.0, 10.0)
 POLES = (0.1, 1.0, 10.0)  # initial poles of a state that is added to the law, relative to the plant's speed
 READS = 0.1  # initial gain from the measurements to a state that is added to the law, in the units of `LIMITS`
 SHARES = (1e-1, 1e-2, 1e-3)  # relative amounts of noise and control cost that are added in the design of full-order laws
-MARGINS = (1e-2, 1e-1, 1.0)  # relative distances of gamma above the smallest feasible gamma, in the design of full-order laws
-STARTS_OF_A_KIND = 4  # number of starting points, for each method that finds them, from which a descent begins
+MARGINS = (1e-2, 1e-1, 1.0)  # relative margins of gamma above its smallest feasible value, in the design of full-order laws
+STARTS_OF_A_KIND = 4  # number of starting points from each method; a descent begins at each of these points
 FEW = 2  # number of stabilising starts that are sought for a static gain if a law with states is also allowed
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # distances by which the poles of a law are shifted, relative to the plant's speed
 SEED = 20261126
@@ -68,7 +68,7 @@ ONE_STATE = LawStructure(1)
 
 
 class End(NamedTuple):
-    """Law at the end of a search, its certificate, and a text about the start that led to it."""
+    """Law at the end of a search, its certificate, and a description of the start from which the search found this law."""
 
     law: LinearLaw
     origin: str
@@ -94,14 +94,14 @@ def fixed_order_design(
             have Dyu.
         structure: structure of the law.
         lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that is executed, as in `full_order_design`.
         known: laws of this structure that were already found; they may have fewer states. If laws are given, the search starts
             only from these laws.
         on_found: function that is called with the best law of each order before the search for the next order.
-        work: counter of the work for norms. If its limit is exceeded, the best law found so far is returned. The default limit
-            is about 14 s of processor time for a plant with 8 states.
+        work: counter of the computing work that is spent on norms. If its limit is exceeded, the best law found so far is
+            returned. The default limit is about 14 s of processor time for a plant with 8 states.
 
     Returns:
         The law with its certificate, and the start that led to it. The law may have fewer states than the structure allows.
@@ -240,7 +240,7 @@ class _Search:
 
     @property
     def no_law(self) -> str:
-        """Message that explains why there is no law."""
+        """Message that explains why no law was found."""
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:
@@ -271,7 +271,7 @@ class _Search:
         return end
 
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
-        """Returns full-order laws: slow laws, and faster laws closer to the lower bound.
+        """Returns full-order laws: some with slow poles, and some with faster poles and norms closer to the lower bound.
 
         The list is empty if measurements contain the control forces.
 

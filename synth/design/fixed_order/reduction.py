@@ -2,8 +2,7 @@
 
 - Balanced truncation (Moore 1981) of the stable part of the law. The unstable part is kept unchanged.
 - Truncation with balancing in the closed loop (Enns 1984, with the loop as weights). The Gramians describe how w excites the
-    law's states, and how these states affect z.
-  The law itself may be unstable.
+  states of the law, and how these states affect z. The law itself may be unstable.
 - Both methods with singular perturbation (Liu, Anderson 1989): the omitted states are assumed to be in equilibrium instead of
     being zero.
 
@@ -62,14 +61,14 @@ def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
 def _gramian(A: Array, B: Array, dt: float | None) -> Array:
     square = B @ B.T
     with warnings.catch_warnings():
-        # poles that nearly cancel give a poor reduced law, but other reduction methods follow
+        # poles that nearly cancel give a poor reduced law, but other reduction methods are tried afterwards
         warnings.simplefilter("ignore", RuntimeWarning)
         gramian = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
     return (gramian + gramian.T) / 2
 
 
 def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:
-    """Yields the law without the states of small balanced Gramians: these states are first zero, then in equilibrium."""
+    """Yields two laws without the states of small balanced Gramians: with these states set to zero, and in equilibrium."""
     roots = [directions * np.sqrt(np.maximum(sizes, 0.0)) for sizes, directions in map(np.linalg.eigh, (reached, seen))]
     left, sizes, right = np.linalg.svd(roots[1].T @ roots[0])
     kept = np.maximum(sizes, 1e-14 * sizes[0] if sizes[0] > 0 else 1.0)

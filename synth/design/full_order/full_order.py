@@ -95,8 +95,8 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         start: law from which the descent starts.
-        fastest: largest allowed pole, relative to the plant's own speed. If the starting law is faster, its own speed is the
-            limit.
+        fastest: largest allowed magnitude of a pole, relative to the plant's own speed. If the starting law is faster, its own
+            speed is the limit.
     """
     if not start.own.states:
         return []
@@ -129,7 +129,7 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
-        fastest: largest allowed pole, relative to the plant's own speed.
+        fastest: largest allowed magnitude of a pole, relative to the plant's own speed.
         rival: norm of another law, in the given units. The search ends early if the norm of a gain is far above this norm.
     """
     own, points = search.own, list[TradeOffPoint | None]()
@@ -169,15 +169,15 @@ def full_order_design(
 
     If no such controller is found, the result is the controller whose norm is closest to the bound.
 
-    Closed-loop poles that are more than 100 times as fast as the plant must be worthwhile. Each tenfold increase in speed must
-    lower the norm by at least 0.1 %.
+    Closed-loop poles that are more than 100 times as fast as the plant must be justified by a lower norm. Each tenfold increase
+    in speed must lower the norm by at least 0.1 %.
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
-        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
         lower_bound: lower bound on the norm of every controller from these measurements. Default: it is computed.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
         fastest: limit on the magnitude of the closed-loop poles of a continuous plant, relative to the plant's own speed.
         stable: True if the law itself must be stable.
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
@@ -191,7 +191,8 @@ def full_order_design(
         InputError: a matrix does not fit the plant, no disturbance acts on it, or z is zero.
         InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
             be stabilised.
-        DesignError: no law was found whose loop is stable despite rounding and slow enough, or no such law that is itself stable.
+        DesignError: no law was found whose loop is slow enough, and stable despite rounding; or, if `stable` is True, no such
+            law is itself stable.
 
     Example:
         >>> from synth import GeneralizedPlant, full_order_design
@@ -304,7 +305,7 @@ def riccati(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
-    """Returns a text that compares a law that is itself stable with an unstable law."""
+    """Describes how a law that is itself stable compares with an unstable law."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "the norm does not rise" if share <= WITHIN else f"the norm rises by {percent(share)}"
@@ -320,7 +321,7 @@ def _slowest(law: LinearLaw) -> float:
 
 
 def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBound) -> str:
-    """Returns a text about a controller's distance to the lower bound, and the cost of a closer one; empty if it is close."""
+    """Describes the gap between a norm and its lower bound, and the cost of a smaller gap; empty if the gap is small."""
     bound = below.gamma
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
@@ -335,7 +336,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBou
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Returns a text about the sample period that a fast pole requires and the cost of a slower law; empty if none is fast."""
+    """Describes the sample period that a fast pole requires, and the cost of a slower law; empty if no pole is fast."""
     if best.excess == 1:
         return ""
     slower = next((each for each in reversed(trade) if each.excess == 1), None)

@@ -7,7 +7,7 @@ the LQR Riccati equation. With R = D'D and A_K = A + B K, the force is
 
 The feedback is the LQR feedback, so preview does not change the poles. Preview reduces the mean square of z to
 
-    mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
+    mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds.
 
 The mean square decreases as T grows. For T = 0, it equals the mean square of LQR. The integral is computed from a Lyapunov
 equation.
@@ -38,7 +38,7 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
     Args:
         plant: generalised plant with n states, m inputs and r disturbances.
         preview: time T by which w is known in advance [s].
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
         Cy: measurements that determine the state, shape (q, n). Default: the measurements of the plant, or the state itself if
             the plant has no measurements.
 

@@ -6,9 +6,9 @@ linear controller has a smaller mean square (separation theorem; Anderson, Moore
 
 LQG and H2 are the same problem. LQG is given a separate noise for each measurement, and H2 is given z and y of a generalised
 plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost, relative to the
-plant's internal units, is then assumed, and a remark is added to the result. Given noise and cost are used unchanged, even if
-they are small. Inputs and measurements are scaled to a size of one, so that the Riccati equations contain no small numbers. An
-integral that is measured without noise is not estimated, because it only acts on z.
+plant's internal units, is then assumed, and the result contains a remark about this assumption. Given noise and cost are used
+unchanged, even if they are small. Inputs and measurements are scaled to a size of one, so that the Riccati equations contain no
+small numbers. An integral that is measured without noise is not estimated, because it only acts on z.
 
 The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so it is omitted.
 """
@@ -31,11 +31,10 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", without its direct effect on z, whose power is infinite"
-# noise that a measurement without noise is assumed to have, and cost that a force without cost is assumed to have, in the
-# plant's internal units
+# assumed noise of a measurement without noise, and assumed cost of a force without cost, in the plant's internal units
 ASSUMED_SIZE = 1e-2
 NOTHING = 1e-13  # a value smaller than this is zero up to rounding, in the plant's internal units
-LITTLE = 1e-6  # a smaller noise or cost may be the cause of a failure, in the plant's internal units
+LITTLE = 1e-6  # a noise or weight below this value may be the reason why a design fails, in the plant's internal units
 
 
 def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
@@ -45,7 +44,7 @@ def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
 
     Args:
         plant: generalised plant with n states and m inputs.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
 
     Returns:
         The law u = K x with K of shape (m, n), its certificate, and its H2 norm.
@@ -74,12 +73,12 @@ def lqg_design(
 
     Args:
         plant: generalised plant with n states and m inputs.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
         noise: noise intensity of each measurement, shape (q,), in [unit of the measurement times sqrt(s)]. Noise with rms sigma
             that is drawn every T seconds has the intensity sigma sqrt(T). Since w has intensity one, B_w and D_w must include
             the square root of the true intensity of the disturbance. Default: a small noise is assumed, and the result has a
             remark.
-        states: names of the states, for messages.
+        states: names of the states, used in error messages.
 
     Returns:
         A law with as many states as the plant, its certificate, and its H2 norm.
@@ -114,9 +113,9 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
 
     Args:
         plant: generalised plant with n states, m inputs and r disturbances.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
-        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
-        states: names of the states, for messages.
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
+        states: names of the states, used in error messages.
 
     Returns:
         A law with as many states as the plant, its certificate, and its H2 norm.
@@ -259,7 +258,7 @@ def _assumed_rows(D: Array) -> tuple[Array, float]:
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
-    """Returns the best law if costs of forces and noise of measurements are added, and texts about these additions.
+    """Returns the best law with added costs of forces and noise of measurements, and texts that describe these additions.
 
     Raises:
         DesignError: a Riccati equation has no solution.

@@ -233,11 +233,11 @@ def _root(A: Array, B: Array) -> Array:
     return directions * np.sqrt(np.maximum(sizes, 0.0))
 
 
-WITHIN = 1e-3  # the search ends if the relative distance of the norm above the lower bound is smaller than this
+WITHIN = 1e-3  # the search ends if the relative gap between norm and lower bound is smaller than this
 # Shares: power of the added noise relative to the disturbance of the states, and added cost relative to the weight of the
 # states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
-STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the added share of noise and cost
+STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the share of noise and cost that is added
 # After the first share that is sufficient, these multiples of the share are also tried
 AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
 # relative amounts by which gamma may exceed the required norm, because the actual norm is often smaller than gamma
@@ -247,9 +247,9 @@ MARGINS = (
     1e-2,
     1e-1,
     1.0,
-)  # relative distances of gamma above the smallest feasible gamma; a larger distance gives a slower law
+)  # relative margins of gamma above its smallest feasible value; a larger margin gives a controller with slower poles
 SAME = 1e-6  # states of a law are omitted only if the norm rises by less than this relative amount
-CLOSE = 1e-4  # relative accuracy of the smallest feasible gamma
+CLOSE = 1e-4  # relative accuracy to which the smallest feasible gamma is computed
 GRAIN = 2.0**-14  # step to which `_coarse` rounds the base-2 logarithm of a number
 PARTS = (1.0, 0.1)  # the poles of a law that exceed one of these multiples of `much` are removed
 OWN_PART = 0.3  # in a further trial, the poles above this multiple of the law's own speed are removed
@@ -270,7 +270,7 @@ class TradeOffPoint:
         own: law in the plant's internal units.
         search: search that found the law.
         least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
-            the time of a norm, and the estimate rules out most points.
+            the time that a norm takes, and the estimate rules out most points.
         speed_up: fastest pole of the loop, relative to the plant's speed without control.
     """
 
@@ -367,9 +367,7 @@ class RiccatiSearch:
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
-        """Args:
-        quick: speed up to which a faster loop has no penalty [rad/s].
-        """
+        """Args: quick: speed up to which a loop has no penalty for its speed [rad/s]."""
         self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
@@ -479,7 +477,7 @@ class RiccatiSearch:
         return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
-        """Returns the controller without negligible states, if this changes neither its norm nor raises its `trouble`."""
+        """Returns the controller without negligible states, if their removal neither changes its norm nor raises `trouble`."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
@@ -514,6 +512,6 @@ class RiccatiSearch:
 def _coarse(gamma: float) -> float:
     """Rounds a number down so that numbers which differ only by rounding errors usually give the same result (see GRAIN).
 
-    Without this, results would depend on units, because bounds in other units have other rounding errors.
+    Without this rounding, results would depend on units, because bounds in different units have different rounding errors.
     """
     return float(np.exp2(np.floor(np.log2(gamma) / GRAIN) * GRAIN)) if gamma else 0.0

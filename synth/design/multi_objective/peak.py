@@ -21,12 +21,12 @@ from synth.design.multi_objective.road_response import (
     step_for,
 )
 
-# Timestep, given as the phase angle [rad] by which the fastest pole without control turns. If the signal is a cubic polynomial
-# near its peak, the relative error of the peak is then below 1e-6
+# Timestep, given as the phase angle [rad] by which the motion of the fastest pole without control advances in a step. If the
+# signal is a cubic polynomial near its peak, the relative error of the peak is then below 1e-6
 STEP = 0.1
 # peaks are also searched for this many periods after the end of the road; the period is the longest period without control
 CYCLES = 2
-MOST = 20_000  # largest number of timesteps
+MOST = 20_000  # largest number of timesteps for which a response is computed
 SPARE = 1 + 1e-5  # initial factor by which a bound is tightened, because the signal between two timesteps is unknown
 
 

@@ -64,7 +64,7 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     """Returns the goals and their problem, for plants of the same size with the same measurements.
 
     Args:
-        where: text with which messages begin.
+        where: text with which error messages begin.
         section: keys `minimise`, `bounds`, `tolerance` and `structure`, as in a vehicle file.
         plants: the nominal plant, followed by the other plants.
 

@@ -38,7 +38,7 @@ class NormSpecification(CheckedFields):
         which: index of the plant in the attribute `plants` of a member.
         band: lower and upper frequency [rad/s].
         at_most: largest allowed norm; infinite for the norm that is minimised.
-        name: description of the norm, for messages.
+        name: description of the norm, used in error messages.
 
     Raises:
         InputError: the band is empty, or a field is not allowed.
@@ -193,7 +193,7 @@ class MultiObjectiveProblem(CheckedFields):
         return [GainErrors(*np.split(errors, [self.shape[1]])) for errors in Box(-sides, sides).vertices]
 
     def alone(self, i: int) -> "MultiObjectiveProblem":
-        """Returns the same problem for a single member."""
+        """Returns the problem for a single member of the family."""
         return replace(self, members=(self.members[i],), bests=None)
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:

@@ -20,7 +20,7 @@ from synth.plant.generalized import Plant
 NODES = 8  # number of quadrature nodes in a step
 SMALLER = 24  # a step is halved this many times on the way to a kink
 NEXT = 1e-6  # a kink counts as being at the end of a step if it is closer to the end than this share of the step
-FINE = 0.01  # timestep, given as the phase angle [rad] by which the fastest pole with control turns
+FINE = 0.01  # timestep, given as the phase angle [rad] by which the motion of the fastest pole with control advances in a step
 MOST_FINE = 60_000  # largest number of steps on the road and shortly after it
 BLOCK, BLOCKS = 4096, 100  # number of steps in a block of the free motion after the road, and largest number of blocks
 BEND = 2.0  # safety factor on the curvature between two times; the curvature is estimated from the derivatives at these times
@@ -156,7 +156,8 @@ class RoadResponse:
 
     def motion(self, A: Array) -> tuple[Array, Array]:
         """Returns the motion xi for the loop matrix A at all times, shape (T, n), and at the ends of intervals, shape (P, n)."""
-        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # this value is real if all poles are real
+        # `np.linalg.eig` returns real arrays if all poles are real
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))
         E = A @ self.driven.plant.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)

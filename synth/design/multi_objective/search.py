@@ -5,7 +5,7 @@
 - If the gain has no limit, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
   justifies the growth.
 - If the box of gain errors has few vertices, all of them are taken into account ("active"); otherwise, only the worst errors
-  found so far. Only the certificate proves that no error in the box is worse.
+  found so far are active. Only the certificate proves that no error in the box is worse.
 - At every starting point and at the end of every descent, the search looks for errors that make a loop unstable. If no decay
   rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with errors.
 """
@@ -28,7 +28,7 @@ from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
-LARGEST_GAIN = 1e5  # largest entry of an unlimited gain while bounds are violated, in the units of a point
+LARGEST_GAIN = 1e5  # largest entry of a gain without a limit, as long as bounds are violated, in the units of a point
 # limit on the entries while a goal is lowered, as a multiple of the starting gain, or of one if the starting gain is smaller
 DEAREST = 32.0
 MOST_VERTICES = 4  # if a box of gain errors has at most this many vertices, all vertices are active from the beginning
@@ -242,7 +242,7 @@ class MinimaxSearch:
         return best, minimax.evaluate(best)
 
     def nearest_stable_point(self, x: Array) -> tuple[Array, Evaluation]:
-        """Returns the given point, or another point if needed, at which all loops are stable with all active errors."""
+        """Returns a point at which all loops are stable with all active errors: the given point, if possible."""
         sure = [] if self.safe_point is None else [self.safe_point]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:

@@ -63,14 +63,15 @@ def _float16(matrix: Array) -> Array:
     return (matrix / scale).astype(np.float16).astype(float) * scale
 
 
-SHARES = (0.01, 0.1)  # relative increases of the norm that gain errors may cause
+# allowed relative increases of the norm due to gain errors; the tolerated errors are computed for each of them
+SHARES = (0.01, 0.1)
 # sizes of gain errors that are tried along a ray. The largest size, 1, means that a measurement or a force may be missing
 AMOUNTS = tuple(0.75**k for k in reversed(range(20)))
 # Largest number of factors for which every corner of the box gives a ray. With more factors, the rays are found by a vertex
 # search in boxes of the sizes `SIZES`
 EACH = 3
 SIZES = (0.05, 0.25, 1.0)
-EXACT = 1e-10  # relative accuracy of the size of a gain error along a ray
+EXACT = 1e-10  # relative accuracy to which the size of a gain error along a ray is computed
 WITHIN = 1e-3  # relative amount by which a box is made smaller before it is searched for gain errors with the same effect
 TURNS = 4  # the search for smaller gain errors is repeated at most this many times
 # A proof of stability is tried for boxes that are smaller, by these relative amounts, than the smallest gain errors that were
@@ -78,7 +79,7 @@ TURNS = 4  # the search for smaller gain errors is repeated at most this many ti
 CLOSE = (1e-3, 1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
 # the corresponding relative amounts for boxes in which a bound on the norm is to be proved
 CLOSE_TO_LEVEL = (1e-2, 0.05, 0.15, 0.3, 0.5, 0.75, 0.9)
-LOOSELY = 4.0  # a proof of stability proves a bound of this multiple of the largest norm that was found in the box
+LOOSELY = 4.0  # a proof of stability uses a bound on the norm that is this multiple of the largest norm found in the box
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +262,7 @@ def record(
 
 
 def whose(report: Fragility) -> str:
-    """Returns a text that names the quantities with errors."""
+    """Lists the quantities that have errors, as text."""
     return "measurements and forces" if len(report.stable.forces) > 1 else "measurements"
 
 
@@ -270,13 +271,13 @@ def _percents(share: float, form: str = ".4g") -> str:
 
 
 def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """Returns a text with the harmful error of each signal; if no errors are harmful, with the errors along the worst ray."""
+    """Describes the harmful error of each signal; if no errors are harmful, describes the errors along the worst ray."""
     named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
     return ", ".join(f"{name} {_percents(error, '+.4g')}" for name, error in named if abs(error) > NOTHING) or "none"
 
 
 def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """Returns a sentence about the fragility of a law."""
+    """Describes the fragility of a law in one sentence."""
     found, errors, proved = report.stable.smallest_violation, errors_text(report.stable, measured, forces), proved_text(report)
     if not math.isfinite(found):
         return f"fragility: no errors of {whose(report)} up to 100 % were found that make the loop unstable; {proved}"
@@ -301,7 +302,7 @@ def _proved_text(one: ErrorMargin, what: str) -> str:
 
 
 def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
-    """Returns a sentence about the effect of rounded coefficients on the norm; empty if no coefficients are rounded."""
+    """Describes the effect of rounded coefficients on the norm in one sentence; empty if no coefficients are rounded."""
     said = []
     for name, one in rounding.items():
         bound = f", proved below {digits(one.bound)}" if one.bound is not None else ""

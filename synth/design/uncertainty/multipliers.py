@@ -34,7 +34,7 @@ from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.lmi.barrier import CENTRE_DECREMENT, Barrier, Block, lowest_last, newton
 from synth.plant.generalized import Plant
 
-NEAR = 3e-4  # relative distance of the proved bound above the peak that is reached with the best multipliers
+NEAR = 3e-4  # relative gap between the proved bound and the peak that the best multipliers give
 EXACT = 1e-6  # share of p* D p and of gamma^2 that is kept as a margin for rounding
 CLOSE = 1e-5  # relative accuracy with which the smallest gamma^2 at one frequency is computed
 LARGEST = 1e6  # limit on the entries of D and G, after p, q and z have been scaled to size one

@@ -3,8 +3,8 @@
 For a given law, the best scale of each error is a function of frequency. A stable first-order filter with a stable inverse
 approximates its magnitude where mu is large. If these filters are added at the inputs and outputs of the loop, its norm is an
 upper bound on mu. A design that minimises the norm lowers this bound (D-K iteration; Doyle 1985; Zhou, Doyle, Glover 1996,
-Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but their alternation need not find the
-best law. Each law is judged by its own proved bound on mu, and the best law is kept.
+Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but alternating between them need not find
+the best law. Each law is evaluated by its own proved bound on mu, and the best law is kept.
 """
 
 from dataclasses import replace

@@ -24,9 +24,8 @@ from synth.analysis.stability import is_stable
 from synth.design.uncertainty.multipliers import MultiplierForm, MultiplierInterval, cover, fill
 from synth.design.uncertainty.structured_loop import StructuredLoop
 
-NEAR = 5e-4  # relative distance of the bound above the peak that is reached with the best scales
-# relative distance of the proved bound above the level that the search has found, because no proof is possible at this level
-# itself
+NEAR = 5e-4  # relative gap between the bound and the peak that the best scales give
+# relative gap between the proved bound and the level that the search has found; exactly at this level, no proof is possible
 EXACT = 1e-6
 POWERS = (64, 4096)  # exponents of the Schatten norms, which are used one after the other
 # a Schatten norm counts as equal to the largest singular value if the share of the other singular values is smaller than this
@@ -36,8 +35,8 @@ EASY = 0.9  # scales with a value below this multiple of the level are not impro
 MOST_STEPS = 60  # largest number of evaluations for each Schatten norm
 CLOSE = 1e-7  # accuracy of the logarithm of a scale
 REFINED_PEAKS = 4  # the search for the highest peak of the bound starts at this many of the highest gain peaks of the loop
-# relative to the frequency: largest and smallest step in the search for a peak; relative to the peak: smallest increase that
-# counts
+# largest and smallest step in the search for a peak, relative to the frequency; and smallest increase of the peak that counts,
+# relative to the peak
 WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7
 SMALLEST = 1e-12  # smallest bound; it is used if the errors have no effect on the loop (mu = 0)
 MOST_PARTS, MOST_PEAKS = 2000, 60
@@ -102,7 +101,7 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
         M: matrix, complex, shape (d + k, r + k).
         errors: number k of errors.
         start: logarithms of the scales with which the search begins. Default: zero.
-        enough: the search ends early at a value below this one.
+        enough: the search ends early if a value is below this limit.
     """
     k = errors
     x = np.zeros(k) if start is None else np.clip(start, -FURTHEST, FURTHEST)

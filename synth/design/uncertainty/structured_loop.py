@@ -39,7 +39,7 @@ class StructuredLoop:
 
     @property
     def of_errors(self) -> "StructuredLoop":
-        """Loop from p to q alone, which determines stability."""
+        """Part of the loop from p to q, which alone determines stability."""
         M, k = self.loop, self.errors
         return StructuredLoop(Plant.without_inputs(M.A, M.Bw[:, -k:], M.C[-k:], M.Dw[-k:, -k:]), k)
 
@@ -125,7 +125,7 @@ def plant_with_errors(
     (q, n), (d, m), r = plant.Cy.shape, plant.D.shape, plant.Bw.shape[1]
     forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)
     k = len(forces) + len(readings)
-    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # the errors of the forces are included
+    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # the measurements also contain the errors of the forces
     wide = Plant(
         A=plant.A,
         B=plant.B,

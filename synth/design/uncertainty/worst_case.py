@@ -219,12 +219,12 @@ def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
     return (X + X.T) / 2 if p[-1] < 0 else None
 
 
-CLOSEST = 1e-4  # smallest relative distance above the largest norm found at which a bound is tried
-# relative distances of a bound above the largest norm found, tried in turn if the box must be divided
+CLOSEST = 1e-4  # smallest relative gap between a bound and the largest norm found for which a proof is tried
+# relative gaps between a bound and the largest norm found, tried in turn if the box must be divided
 CLOSER = (1e-2, 1e-3, CLOSEST)
-# relative distances of a bound above the largest norm found, tried if both the first distance in `CLOSER` and multipliers fail
+# relative gaps between a bound and the largest norm found, tried if both the first gap in `CLOSER` and multipliers fail
 LOOSE = (0.1, 1.0, 10.0)
-TIGHT = 1e-3  # multipliers are not needed if a bound is within this relative distance of the largest norm found
+TIGHT = 1e-3  # multipliers are not needed if the relative gap between a bound and the largest norm found is smaller than this
 # largest number of attempts to find an X, for one state; the number is divided by the square of the number of states
 TRIALS = 600
 FEWEST = 4  # smallest allowed number of attempts to find an X
@@ -380,7 +380,7 @@ class WorstNorm:
 
     @property
     def gap(self) -> float:
-        """Relative distance of the proved bound from the largest norm found; infinite if nothing is proved."""
+        """Relative gap between the proved bound and the largest norm found; infinite if nothing is proved."""
         return self.proved / self.found - 1 if np.isfinite(self.proved) and self.found else np.inf
 
     @property
@@ -407,11 +407,11 @@ def worst_norm(
 
     Args:
         plant: generalised plant with n states and m inputs; continuous or discrete.
-        Cy: measurement matrix, shape (q, n). Default: the matrix of the plant.
+        Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
         K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces have the errors.
         d: largest error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
         e: largest error of all forces, or of each force, shape (m,).
-        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero, or the matrix of the plant if Cy is not given.
+        Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
         through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
         enough: a bound that is sufficient. If the proved bound is larger, a separate proof of this bound is tried. None if
             there is no such bound.

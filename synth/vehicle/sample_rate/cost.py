@@ -1,8 +1,8 @@
 """Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. From one tested period to the next, no mode of vehicle or law turns by more than 0.1 rad, unless the mode has decayed.
-The limit is then found by bisection between the last stable and the first unstable period.
+rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad, unless the mode
+has decayed. The limit is then found by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -82,7 +82,7 @@ class AtRate:
         undelayed_norm: norm of the loop without delay.
         delayed_norm: norm of the loop with the delay `Cost.delay`.
         designed_norm: norm, without delay, of a controller that was designed for this rate; None if there is no such design.
-        design_failure: if the design for this rate failed, the reason; else empty.
+        design_failure: reason why the design for this rate failed; empty if no design failed.
     """
 
     period: float
@@ -135,11 +135,11 @@ def cost(
     """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if it is missing, the
-            delay is 1.
+        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if no delay is given,
+            it is 1.
         controller: linear controller.
         periods: sample periods in ascending order [s].
-        designs: periods for which a static controller is also designed again [s].
+        designs: periods for which a static controller is also redesigned [s].
         done: function that is called with the number of finished periods.
 
     Raises:

@@ -21,7 +21,7 @@ from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
 LITTLE = 1e-2  # a sample rate counts as cheap if the norm exceeds the continuous norm by at most this relative amount
 SAME = 5e-9  # a norm counts as equal to the continuous norm if the relative difference is smaller than this
-FEW = 2  # largest number of controllers that have a table each; more tables would not fit a terminal
+FEW = 2  # largest number of controllers for which separate tables are printed; more tables would not fit a terminal
 Kind = Callable[[AtRate], SampledNorm | None]  # function that selects one of the norms computed at a sample rate
 KINDS: dict[str, Kind] = {
     "at once": lambda at: at.undelayed_norm,
@@ -35,7 +35,7 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
 
     Args:
         costs: cost of each controller.
-        lag: text about the actuator lag; empty if there is no lag.
+        lag: description of the actuator lag; empty if there is no lag.
     """
     kinds = [name for name in KINDS if name != "designed" or any(one.redesigned for one in costs)]
     fields = [
@@ -55,11 +55,11 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
 
 
 def about(one: Cost, lag: str, designs: bool) -> str:
-    """Returns a text that explains the columns of the table.
+    """Explains the columns of the table.
 
     Args:
         one: cost of a controller.
-        lag: text about the actuator lag, which the norms in the design table do not include; empty if there is no lag.
+        lag: description of the actuator lag, which the norms in the design table do not include; empty if there is no lag.
         designs: True if the table has a column of controllers designed for each rate.
     """
     designed = "designed: change with a gain designed for this rate. " if designs else ""

@@ -140,7 +140,7 @@ def write_csv(front: Front, path: Path) -> None:
 
 
 def _limit_texts(front: Front) -> list[str]:
-    """Returns a sentence for each pair of axes about the distance of the front from the lower bound."""
+    """Describes, in one sentence for each pair of axes, the gap between the front and the lower bound."""
     texts = []
     for limit in front.limits:
         first, second = (front.axes[k].name for k in limit.axes)
