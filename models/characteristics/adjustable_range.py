@@ -155,7 +155,7 @@ class Damper:
     pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
-        """Returns the damper for a vehicle with other elements."""
+        """Returns the damper of a vehicle that has the given elements of `[parts]`."""
         return self
 
     @property
@@ -229,7 +229,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
 
     Args:
         section: keys for all dampers, and sections for single dampers, named by the suffix of their force.
-        corners: suffix of the name of each control force, including the underscore, by force.
+        corners: for each control force, the suffix of its name, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 
     Raises:

@@ -20,7 +20,7 @@ LEAST_SIDE = 3  # the smoothing filter uses at least this number of samples on e
 NEARLY = 0.05  # a cycle counts as full if at most this share of it is missing
 SAMPLES = 25.0  # a cycle must have at least this number of samples
 GAP = 10.0  # longest allowed time between two samples, relative to the mean time between samples
-LEAST_CORRELATION = 0.05  # smallest allowed correlation between force and velocity
+LEAST_CORRELATION = 0.05  # the force counts as independent of the velocity if their correlation is below this value
 
 
 def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:

@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
         return options, others
 
     def _advice(self, args: Sequence[str]) -> str:
-        """Returns advice about the last one of the arguments that the parser does not expect."""
+        """Returns advice about the last argument that the parser does not expect."""
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
@@ -218,7 +218,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
     def add_gone(self, option: str, instead: str) -> None:
-        """Adds an option that no longer exists, which is refused with advice."""
+        """Adds an option that was removed; the error message for this option gives advice."""
         self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
@@ -266,7 +266,7 @@ def chosen_of(
         usual: default names, as in `chosen_controllers`.
 
     Raises:
-        InputError: an error of `chosen_controllers`, or a vehicle without any of the controllers.
+        InputError: any error of `chosen_controllers`, or a vehicle has none of the selected controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
     every = chosen_controllers(known, given, usual)
@@ -322,7 +322,7 @@ class _Vehicles(argparse.Action):
 
 
 class _GoneOption(argparse.Action):
-    """Option that no longer exists."""
+    """Removed option, whose use causes an error message with advice."""
 
     def __init__(self, option_strings, dest, instead, help=None) -> None:
         super().__init__(option_strings, argparse.SUPPRESS, nargs="?", help=help)

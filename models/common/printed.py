@@ -24,7 +24,7 @@ rough = "{:.4g}".format  # format of a pole, a rate, a time or a slope
 brief = "{:.3g}".format  # format of a number that is compared with others
 about = "{:.2g}".format  # format of an estimate
 magnitude = "{:.0e}".format  # format of a rounding error
-# Format of a value whose claim does not hold; the true value may differ from the claimed value only slightly
+# Format of the claimed and the true value if a claim does not hold; the two values may differ only slightly
 exactly = "{:.10g}".format
 
 
@@ -79,7 +79,7 @@ def percent(share: float) -> str:
 
 
 def size(rows: Sequence[Any]) -> str:
-    """Returns a text with the number of rows and the time that they cover."""
+    """Describes in words how many rows there are, and the time that they cover."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"
 

@@ -56,7 +56,7 @@ class NumberTable:
         first: index of the first line of numbers.
         separator: separator of cells.
         count: number of columns.
-        give: required content of the file, for messages.
+        give: description of the content that the file must have, for messages.
     """
 
     lines: Sequence[str]
@@ -332,7 +332,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
     Args:
         text: the text.
-        give: required content of the file, for messages.
+        give: description of the content that the file must have, for messages.
         separator: separator from `SEPARATORS`; empty to detect the separator in that line.
         column: number of this column, counted from 0.
 

@@ -77,7 +77,7 @@ class Field(Generic[Of]):
 
 
 def titles(fields: Iterable[Field[Any]]) -> tuple[str, ...]:
-    """Returns the headings of the fields."""
+    """Returns the column headings of the fields."""
     return tuple(field.title for field in fields)
 
 
@@ -104,7 +104,7 @@ class Record(Generic[T]):
     """
 
     def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[Any] | Value[Any]") -> None:
-        """Prepares the object.
+        """Prepares the record from the parts that give its values.
 
         Args:
             parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The

@@ -130,7 +130,8 @@ class Classes:
 
 
 ROOM = 0.04  # margin at both ends of an axis, relative to the range of the axis
-WIDE = 8  # the name of a class fits into a map if the class is at least 1/WIDE of the map's width deep
+# A map shows the name of a class if the innermost cell of the class is more than 1/WIDE of the map's width from its edge
+WIDE = 8
 
 
 @dataclass(frozen=True, eq=False)

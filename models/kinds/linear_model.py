@@ -23,7 +23,8 @@ from models.common.arrays import Array
 from models.common.checks import Positive, check_fields, check_shape
 from models.common.errors import InputError, list_names, short_repr
 
-# The names of the columns of each matrix that has a row for each state, and of each matrix that has a row for each output
+# Fields with the names of the columns: of the matrices that have a row for each state, then of the matrices that have a row for
+# each output
 OF_STATES = {"A": "states", "B": "inputs", "Bw": "disturbances", "Br": "disturbances", "Bt": "disturbances", "Bl": "loads"}
 OF_OUTPUTS = {"C": "states", "D": "inputs", "Cr": "disturbances", "Dw": "disturbances", "Dl": "loads"}
 AXES = {name: (rows, of[name]) for rows, of in (("states", OF_STATES), ("outputs", OF_OUTPUTS)) for name in of}
@@ -112,7 +113,7 @@ class LinearModel:
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns the given signals that are heights above a flat datum. Only a law for a study may measure them."""
+        """Returns the given signals that are heights above a flat datum. Only a law of a theoretical study may measure them."""
         return [name for name in self.heights if name in signals]
 
     @property

@@ -47,7 +47,7 @@ from models.kinds.kind import BodyLoad, Parameter, Parameters
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, WHEEL_LOAD
 
 AXLES, SIDES = ("front", "rear"), ("left", "right")
-# Allowed range of an axis height [m], which may lie below the ground; the same range is used for a share
+# Allowed range of an axis height [m], which may lie below the ground; the share of the load that links carry has the same range
 LOWEST, HIGHEST = -2.0, 3.0
 UNDER = {"brakes": ("anti_dive_front", "anti_lift_rear"), "power": ("anti_lift_front", "anti_squat_rear")}
 

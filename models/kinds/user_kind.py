@@ -174,7 +174,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
     """Returns the vehicle type with functions whose results are checked, and which raise InputError if they fail.
 
-    `check_together` of the result checks the results.
+    The function `check_together` of the returned type checks the results of the other functions.
     """
 
     def guarded(name: str, function: Callable[..., Any], refuses: bool = False) -> Callable[..., Any]:

@@ -185,7 +185,7 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part as text, with a list of the alternatives to another part that can be combined with it.
+    """Returns a part as text, and the alternatives to another part with which the part can be combined.
 
     Args:
         part: the part.

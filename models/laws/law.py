@@ -24,7 +24,7 @@ class ControlLaw:
     preview = None  # `RoadPreview` of a law whose force also depends on the road ahead
     code: Any = None  # the `ExportedCode` that computes the law's outputs in runs
     implemented = True  # False if the law ignores the sampling, delay and rate limit of the vehicle file
-    false_claims: tuple[str, ...] = ()  # descriptions of claims of the certificate that are not true
+    false_claims: tuple[str, ...] = ()  # descriptions of the statements in the certificate that are not true
     specifications = ()  # specifications that the law is designed for or evaluated with
 
     @property
@@ -56,7 +56,7 @@ class ControlLaw:
         return 0
 
     def state_scale(self, period: float) -> float:
-        """Returns the factor from the states of a linear law in a run to the states of the law itself."""
+        """Returns the factor that converts the states of a linear law in a run to the states of the law itself."""
         return 1.0
 
 

@@ -20,7 +20,8 @@ ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key tha
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # names of the matrices that `models.laws.preview` uses
 MOST_STATES = 200  # largest number of states of a control law; a typical law has some dozens
 LARGEST = 1e15  # largest magnitude of an entry of a law's matrices; with larger entries, rounding errors would dominate
-ROUNDING = 1e-7  # relative rounding error of the poles of a double integrator
+# A growth rate below this share of the law's largest entry counts as a rounding error, as for the poles of a double integrator
+ROUNDING = 1e-7
 # Smallest relative singular value of an algebraic loop through the measurements; below this value, no digit of the result is
 # reliable
 SINGULAR = 1e-12
@@ -119,7 +120,7 @@ class LinearLaw(LawSource):
 
     @property
     def acts(self) -> bool:
-        """True if the force is not 0 for all measurements."""
+        """False if the force is 0 for all measurements."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
     @property
@@ -165,7 +166,7 @@ class LinearLaw(LawSource):
         return replace(self, C=rows * self.C, D=rows * self.D)
 
     def only(self, forces: Array) -> "LinearLaw":
-        """Returns the law in which only selected forces are not zero.
+        """Returns the law with all forces set to 0, except selected forces.
 
         Together with `scaled`, this function opens the loop at actuators.
 

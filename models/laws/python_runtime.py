@@ -192,7 +192,7 @@ class LawRuns:
     vectorised = False
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs with a number of forces. `add` adds the runs."""
+        """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
         self._controller, self._forces = controller, forces
         self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
 
@@ -246,7 +246,7 @@ class FileRuns:
     """`LawRuns` of a law in a file, which runs in a child process. If the process ends, all runs in it fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs with a number of forces. `add` adds the runs."""
+        """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
         self._what, self._name, self._left, self._count = describe_law(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()

@@ -38,7 +38,7 @@ class LawCoefficients:
     Attributes:
         c_min: smallest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force divided by present
             velocity.
-        c_max: largest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force over present
+        c_max: largest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force divided by present
             velocity.
         sky: coefficients of the dampers between body and sky [N s/m], shape (N, m).
         ground: coefficients of the dampers between wheel and ground [N s/m], shape (N, m).
@@ -90,7 +90,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper between body and sky if the damper can give its sign, else the soft setting."""
+    """Continuous skyhook: gives the force of a damper to the sky if it can give a force of this sign, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -291,7 +291,7 @@ class SemiActiveSection(Section):
             given: keys of the section in the file.
             outputs: names of the output signals of the vehicle.
             inputs: names of the forces of the vehicle.
-            endings: suffix of the signal names at every suspension with a semi-active damper, by force.
+            endings: for each force of a semi-active damper, the suffix of the signal names at its suspension.
 
         Raises:
             InputError: a key belongs to another law, or the vehicle lacks a signal or damper that the law needs.

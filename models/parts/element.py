@@ -32,7 +32,7 @@ class Element:
     Attributes:
         name: name of the section.
         corners: names of the corners with the element; one empty name if the vehicle has a single suspension.
-        part: the part, before the motion ratio.
+        part: the part, before its motion ratio is applied.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Element:
 
 
 def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) -> tuple[Signal, ...]:
-    """Returns the signals of the elements' own states, ordered by suspension like the parts of a vehicle."""
+    """Returns the signals of the elements' internal states, ordered by suspension like the parts of a vehicle."""
     here = [(one, place) for place in suspensions for one in elements if place.corner in one.corners]
     return tuple(signal for one, place in here for signal in state_signals(one.part, one.name, place))
 

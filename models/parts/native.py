@@ -24,7 +24,7 @@ from models.common.errors import InputError
 
 # This force [N] is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
 LARGEST_FORCE = 1e9
-MOTOR = "part_"  # this part of a motor's name stands between the prefix and the name of the tendon
+MOTOR = "part_"  # this part of a motor's name is between the prefix and the name of the tendon
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,8 @@ SPEED = 80 / 3.6  # speed of the golden car [m/s], the reference vehicle of the 
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15
 BASE = 0.25  # length of the moving average of the profile [m]
 SETTLING_DISTANCE = 100.0  # over this distance [m], the effect of the initial state decays to 1e-5
-FORGOTTEN = 1e-18  # a response is truncated where it has decayed to this share, which is below the rounding error
+# A response is truncated where it has decayed to this share of its first value, which is below the rounding error
+FORGOTTEN = 1e-18
 
 # The states of the golden car are z_s, z_s', z_u and z_u'. Derivatives are with respect to distance, not time. The input is the
 # slope of the profile.

@@ -77,7 +77,7 @@ class Step(Obstacle):
     response, the road velocity is an impulse at this edge. In MuJoCo, the height changes between two time steps.
 
     Raises:
-        InputError: a number is out of its range, or the edge is not 0 but shorter than the smallest length.
+        InputError: a number is out of its range, or the edge is not vertical (0) but shorter than the smallest allowed length.
     """
 
     kind: ClassVar[str] = "step"
@@ -199,7 +199,7 @@ class Flat(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Empty: because the road has no kinks."""
+        """Empty, because the road has no kinks."""
         return ()
 
 

@@ -614,7 +614,7 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns the heights under the wheels at a number of samples after the last one [m], shape (count, r)."""
+        """Returns the heights under the wheels at the given number of samples after the last sample [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 

@@ -95,7 +95,7 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Signals that the controller refers to: the measured signals, and the signals in its goals."""
+        """Signals that the controller uses: the measured signals, and the signals in its goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
@@ -276,7 +276,7 @@ def read_controllers(
         kind: vehicle type.
         folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
         sampled: default of the key `sampled` in a controller's section.
-        dampers: suffix of the signal names at each semi-active damper, by force.
+        dampers: for each force of a semi-active damper, the suffix of the signal names at its suspension.
     """
     controllers: dict[str, ControllerEntry] = {}
     facts: dict[str, Any] = {

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from models.parts.stops.stop import BumpAndRebound
 
 ORDERS = ("force", "command")  # allowed values of the field `Limits.limit`
-# An actuator with a largest force gets at most this request [N]; larger requests are reduced, because MuJoCo does not accept
+# An actuator with a force limit receives at most this request [N]; larger requests are reduced, because MuJoCo does not accept
 # them
 MOST_ASKED = 1e9
 
@@ -161,7 +161,7 @@ def _text(value: Any) -> str:
 
 
 def samples(count: float) -> str:
-    """Returns a number of samples as text, in the singular if the printed number is 1."""
+    """Returns the given number of samples as text, in the singular if the printed number is 1."""
     number = f"{count:g}"
     return f"{number} sample{'s' * (number != '1')}"
 

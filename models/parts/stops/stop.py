@@ -74,7 +74,8 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
 
     Raises:
-        InputError: the stop touches in equilibrium, touches at another travel than the stroke, or has a force that pulls.
+        InputError: the stop touches in equilibrium, makes contact at a travel that differs from the stroke, or has a force that
+            pulls.
     """
     u, force = np.array(table.compression), np.array(table.force)
     if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):
