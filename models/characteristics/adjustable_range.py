@@ -37,7 +37,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 
-TOUCHING_DISTANCE = 1e-9  # two characteristics touch if their distance is below this share of the largest force
+# Two characteristics count as touching if their forces differ by less than this share of the largest force
+TOUCHING_DISTANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

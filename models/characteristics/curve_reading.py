@@ -25,7 +25,7 @@ FRICTION_POINTS = 601
 
 
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
-    """Returns points of a friction F tanh(v / v0).
+    """Returns points of the friction force F tanh(v / v0).
 
     Straight segments between the points have an error of at most `FRICTION_ERROR` F.
 
@@ -183,7 +183,7 @@ class SpringTable(StopTableSection):
 
 @dataclass(frozen=True)
 class DamperTable(CurveTable):
-    """Force of a damper, with friction F tanh(v / v0)."""
+    """Force of a damper, including the friction force F tanh(v / v0)."""
 
     hints: ClassVar[Mapping[str, str]] = {"deflection": ALONE}
 

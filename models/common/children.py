@@ -41,8 +41,8 @@ class Child:
 
         Args:
             answers: generator function that runs in the child. The function receives an iterator of messages and yields an
-                answer for each message. `receive` raises an exception that the function yields or raises. An exception that the
-                function raises ends the child.
+                answer for each message. If the function yields or raises an exception, `receive` raises this exception. If the
+                function raises the exception, the child also ends.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(

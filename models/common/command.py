@@ -70,7 +70,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
-        """Returns a text in which commands have the form in which the user called this one:
+        """Returns a text whose commands are written in the form in which the user called this command:
 
         `roadproof bump` or `python -m sim.bump`.
         """

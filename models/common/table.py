@@ -115,7 +115,7 @@ class NumberTable:
     def _heading_cells(self, line: str) -> list[str]:
         """Returns the cells of a line above the numbers; empty if their number is wrong.
 
-        The separator may differ from the one of the numbers.
+        The separator may differ from the separator of the numbers.
         """
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]

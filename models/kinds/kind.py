@@ -185,7 +185,7 @@ class Suspension(CheckedFields):
         stiffness: name of the parameter of the spring; empty without a spring. A characteristic can replace the parameter.
         damping: name of the parameter of the damper; empty without a damper. A characteristic can replace the parameter.
         ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
-            Empty for elements at the wheel. The equations of a vehicle type are for elements at the wheel;
+            Empty if the elements act directly at the wheel. The equations of a vehicle type are for elements at the wheel;
             `VehicleKind.at_wheels` converts the parameters.
     """
 
@@ -556,7 +556,7 @@ class VehicleKind(CheckedFields):
         return self.folder / f"{self.name}.xml"
 
     def check_each(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters in the order of the vehicle type, after checking each one separately.
+        """Returns all parameters in the order of the vehicle type, after checking each parameter separately.
 
         Raises:
             InputError: a parameter is missing, unknown or not allowed.
@@ -577,7 +577,7 @@ class VehicleKind(CheckedFields):
         return checked
 
     def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters in the order of the vehicle type, after checking each one and their combination.
+        """Returns all parameters in the order of the vehicle type, after checking each parameter and their combination.
 
         Raises:
             InputError: any error of `check_each`, or the combination is not a valid vehicle. The error is also raised if a tyre

@@ -260,8 +260,8 @@ class LinearModel:
         Each actual force f follows f' = bandwidth (u - f), and replaces the requested force u in all signals.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s], or of each one, shape (m,), with 0 for an actuator without
-                lag; None for actuators without lag.
+            bandwidth: one corner frequency for all actuators [rad/s], or one for each actuator, shape (m,), with 0 for an
+                actuator without lag; None for actuators without lag.
         """
         if bandwidth is None:
             return self

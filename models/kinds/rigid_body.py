@@ -438,7 +438,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _tendon_name(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Replaces a strut by a fixed tendon with the same name, whose length is the deflection of a guided wheel."""
+    """Replaces a strut by a fixed tendon whose length is the deflection of a guided wheel, and returns it."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

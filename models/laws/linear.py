@@ -20,7 +20,8 @@ ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key tha
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # names of the matrices that `models.laws.preview` uses
 MOST_STATES = 200  # largest number of states of a control law; a typical law has some dozens
 LARGEST = 1e15  # largest magnitude of an entry of a law's matrices; with larger entries, rounding errors would dominate
-# A growth rate below this share of the law's largest entry counts as a rounding error, as for the poles of a double integrator
+# A growth rate below this share of the state matrix's largest entry counts as a rounding error, as for the poles of a double
+# integrator
 ROUNDING = 1e-7
 # Smallest relative singular value of an algebraic loop through the measurements; below this value, no digit of the result is
 # reliable

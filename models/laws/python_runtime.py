@@ -36,7 +36,7 @@ SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time
 
 
 class Sample:
-    """Arguments of a law at a sample.
+    """Arguments with which a law is called at a sample.
 
     Attributes:
         y: measurements in the order of `measured`, shape (q,). `sample["sprung_velocity"]` returns a single measurement by its
@@ -132,7 +132,7 @@ class OwnLaw:
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result.
 
-        The check is included because methods of the result may also be user code.
+        This function also checks the result, because methods of the result may be user code, too.
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:

@@ -20,7 +20,7 @@ from models.common.errors import InputError, list_names
 from models.common.schema import SI, Choice, Section, keys
 from models.laws.law import ControlLaw, Design, DriverKey, LawSource
 
-STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
+STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0, to avoid division by 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")

@@ -10,7 +10,7 @@ from models.characteristics.curve import Pieces
 from models.common.arrays import Array
 from models.parts.part import choose_runs, merge_parts
 
-STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
+STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0, to avoid division by 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ class Element:
 
     @property
     def straight(self) -> "Element":
-        """The linearised element; the same element if it is linear, or if it acts only on contact."""
+        """The linearised element; the unchanged element if it is linear, or if it acts only on contact."""
         part = self.part
         return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
@@ -65,7 +65,7 @@ class Element:
         }
 
     def sampled(self, values: Mapping[str, float]) -> "Element":
-        """Returns the element with other numbers, given by `NAME.key`; the same element if no number belongs to it."""
+        """Returns the element with other numbers, given by `NAME.key`; unchanged if none of the numbers belongs to it."""
         own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
         return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
 

@@ -72,7 +72,7 @@ class Line:
 
     @property
     def sloped(self) -> bool:
-        """True if the part has a force while its input is 0."""
+        """True if the linearised force can differ from 0 while the input is 0."""
         return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:

@@ -154,7 +154,7 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
-    """Returns the transform of the response to a slope, the response to the start, and the size of the transform.
+    """Returns the Fourier transform of the response to a slope, the response to the start, and the size of the transform.
 
     The response to the start is truncated at `FORGOTTEN`. This response begins before the first sample. The result is cached,
     because a campaign needs it for every road.

@@ -103,12 +103,12 @@ def run_without(names: Iterable[str], part: str) -> list[str]:
 
 
 def variant(part: str) -> str:
-    """Returns the suffix that marks a controller's run without a part in tables; empty for the implemented loop."""
+    """Returns the suffix by which tables mark a controller's run without a part; empty for the implemented loop."""
     return f", no {part}" if part else ""
 
 
 def logged_variant(part: str) -> str:
-    """Returns the suffix that marks a controller's run without a part in logs; empty for the implemented loop."""
+    """Returns the suffix by which logs mark a controller's run without a part; empty for the implemented loop."""
     return f"-no_{part}" if part else ""
 
 

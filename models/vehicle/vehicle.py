@@ -159,7 +159,7 @@ class Vehicle(ShownResult):
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
         dampers: semi-active dampers that replace actuators, by force.
-        sums: weighted sums of signals in z (34), after the signals.
+        sums: weighted sums of signals in z (34); their rows follow the rows of single signals.
         elements: force elements of `[parts]`.
         force_limits: limits of the force actuators, for controllers with `actuators = "force"` on a vehicle with semi-active
             dampers; None for vehicles without semi-active dampers.
@@ -558,7 +558,7 @@ class Vehicle(ShownResult):
         return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
 
     def text_for(self, path: Path) -> str:
-        """Returns the text of a vehicle file at a path that describes this vehicle.
+        """Returns the text of a vehicle file that describes this vehicle and has the given path.
 
         Paths of Python laws in the text are relative to the folder of this file.
 

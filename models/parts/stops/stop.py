@@ -10,7 +10,7 @@ compression of the suspension, and the force is 0 up to the stop. The rebound st
 has any.
 
 The name of a section in `[limits]` is the name of a corner, or the common beginning of several names. For example, `rear` means
-rear_left and rear_right. A key that is missing in a section is taken from the section for more corners. For example,
+rear_left and rear_right. A key that is missing in a section is taken from a section that applies to more corners. For example,
 `[limits.rear]` may define a stroke for the rear axle, and use the common stiffness.
 """
 
