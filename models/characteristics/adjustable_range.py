@@ -73,7 +73,7 @@ class Envelope:
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Deviation of h from a straight line, as ramps: knot [m/s], increase of the slope beyond the knot, and side (1 or -1).
+        """Ramps whose sum is the deviation of h from a line: knot [m/s], increase of the slope beyond the knot, side (1 or -1).
 
         The increase of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of its actuator as a
         damping ratio.
@@ -168,7 +168,7 @@ class Damper:
 
 
 def _coefficient(setting: str, low: float) -> ReadBy:
-    """Returns the key for a damper's coefficient at a setting, or for the table of its force over velocity."""
+    """Returns the declaration of a key for a damper's coefficient at a setting, or for its table of force over velocity."""
     number = SI("N s/m", f"coefficient at the {setting} setting, or the table of its force", low)
 
     def read(value: Any, context: Mapping[str, Any]) -> float | ForceCurve:
@@ -229,7 +229,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
-        section: keys for all dampers, and sections for single dampers, named by the suffix of their force.
+        section: keys for all dampers, and sections for single dampers; the name of a section is the suffix of the damper's
+            force.
         corners: for each control force, the suffix of its name, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 

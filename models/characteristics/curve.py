@@ -34,7 +34,7 @@ class Pieces:
 
     Attributes:
         slope: slope a of each segment [N per unit of the argument], shape (..., P).
-        start: end k of each segment, the one closer to 0 [unit of the argument], shape (..., P).
+        start: end k of each segment that is closer to 0 [unit of the argument], shape (..., P).
         low: lower bound of the force [N], shape (..., P); infinite for a segment without end.
         high: upper bound of the force [N], shape (..., P); infinite for a segment without end.
     """
@@ -191,7 +191,8 @@ class ForceCurve:
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]
-            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # this argument lies far outside any range of motion
+            # This argument is far outside every possible range of motion
+            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3
             x = np.append(self.x[points], side * beyond)
             apart = self.pieces.force(x)
             hit = np.flatnonzero(np.abs(apart) >= limit)

@@ -301,7 +301,7 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
 
 
 def _dpr_columns(text: str) -> str:
-    """Returns the table of a damper property file with headings, and the number of each row's line in the file."""
+    """Returns the table of a damper property file with headings, and the line number of each row in the file."""
     text = re.sub(r"[$!].*", "", text)
     # Number of lines of text before each block
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}

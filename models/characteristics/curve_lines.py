@@ -72,7 +72,7 @@ def slopes_at_rest(x: Array, force: Array, error: float) -> tuple[float, float]:
     """Returns the slopes of a table below and above 0.
 
     Without noise, these are the slopes of the segments at 0. Noise is the deviation of the points from smooth curves through
-    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest one from which no point
+    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest line from which no point
     deviates by more than the noise.
 
     Args:

@@ -270,7 +270,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns the sum of slopes and tables as one characteristic."""
+    """Returns one characteristic whose force is the sum of slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")

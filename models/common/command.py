@@ -372,7 +372,7 @@ def print_json(result: Mapping[str, Any]) -> None:
 def _page(text: str) -> str:
     """Returns a text of `--help` with wrapped paragraphs.
 
-    Examples are indented, and a long example continues after a backslash.
+    Examples are indented. A long example is broken after a backslash.
     """
     text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of each paragraph are joined to one line
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]
@@ -380,7 +380,7 @@ def _page(text: str) -> str:
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example as lines that fit the width of the output, and that can be copied together."""
+    """Returns an example as lines that fit the width of the output and that a user can copy together."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 

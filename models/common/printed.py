@@ -21,7 +21,7 @@ NORM_DIGITS = ".7g"  # format of a norm, a bound on a norm, or a level
 digits = f"{{:{NORM_DIGITS}}}".format
 entry = "{:.6g}".format  # format of an entry of a gain or of a control law
 rough = "{:.4g}".format  # format of a pole, a rate, a time or a slope
-brief = "{:.3g}".format  # format of a number that is compared with others
+brief = "{:.3g}".format  # format of a number that readers compare with other numbers
 about = "{:.2g}".format  # format of an estimate
 magnitude = "{:.0e}".format  # format of a rounding error
 # Format of the claimed and the true value if a claim does not hold; the two values may differ only slightly
@@ -186,7 +186,7 @@ FEW = 3
 
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = LINES, source: str = "-v prints") -> list[str]:
-    """Returns the sentences that fit on a terminal together with other lines, and a line with the number of omitted sentences.
+    """Returns the sentences that fit on a terminal together with other lines, and a line that states how many are omitted.
 
     The first sentence is always included.
 

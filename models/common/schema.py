@@ -41,7 +41,7 @@ class Key:
 
     Attributes:
         unit: unit of the value; empty for a value without a unit.
-        meaning: description of the key, one phrase.
+        meaning: description of the key in one phrase.
         schema: JSON schema of the value, if it is equal for all keys of the class.
     """
 

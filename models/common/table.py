@@ -134,7 +134,7 @@ class NumberTable:
                 yield number, cells
 
     def numbers(self, columns: Sequence[int] = (), ragged: bool = False, gaps: bool = False) -> tuple[Array, Sequence[int]]:
-        """Returns the numbers of columns, shape (rows, columns), and the line number of every row, counted from 1.
+        """Returns the numbers in columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
             columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
@@ -373,7 +373,7 @@ def _number(cell: str) -> float | None:
 
 
 def _maybe_unit(heading: Heading) -> bool:
-    """Returns True for a cell that may be on a line of units: an empty cell, a known unit, or a short word such as V."""
+    """Returns True for a cell that may belong to a line of units: an empty cell, a known unit, or a short word such as V."""
     return heading.name == "s" or (len(heading.name) <= LONGEST_UNIT and heading.quantity in ("", UNREAD))
 
 

@@ -54,7 +54,7 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # number of pieces of work that are taken for each thread: one piece runs, and one waits
+AHEAD = 2  # number of pieces of work that are taken in advance for each thread: one piece runs, and one piece waits
 
 Result = TypeVar("Result")
 # A piece of work is called with a function that returns True if the work is to be abandoned

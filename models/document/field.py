@@ -51,7 +51,7 @@ class Field(Generic[Of]):
         return self.digits(self.value(one))
 
     def digits(self, value: Any) -> str:
-        """Returns a value in SI units as text without its unit, in the form of `cell`."""
+        """Returns a value in SI units as text without its unit, in the same form as `cell`."""
         if isinstance(value, str) or value is None:
             return "-" if value is None else value
         value = self.scale * value

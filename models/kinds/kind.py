@@ -318,8 +318,8 @@ class VehicleKind(CheckedFields):
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
             Empty unless the type belongs to a vehicle with such ratios.
-        people: signals of the accelerations [m/s2] at points with a person, the most important point first. None means the
-            masses above the body, if there are any. An empty tuple means that there is no person.
+        people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
+            None means the masses above the body, if there are any. An empty tuple means that there is no person.
         of_parts: signals of the internal states of force elements. These signals are also part of `signals`, but have no
             sensors. Empty unless the type belongs to a vehicle with such elements.
         lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.

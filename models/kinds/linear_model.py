@@ -29,7 +29,7 @@ OF_STATES = {"A": "states", "B": "inputs", "Bw": "disturbances", "Br": "disturba
 OF_OUTPUTS = {"C": "states", "D": "inputs", "Cr": "disturbances", "Dw": "disturbances", "Dl": "loads"}
 AXES = {name: (rows, of[name]) for rows, of in (("states", OF_STATES), ("outputs", OF_OUTPUTS)) for name in of}
 OPTIONAL = ("Bl", "Dl", "Bt", "Dw")
-# Each matrix that acts on the states, with the matrix of the same input that acts directly on the outputs
+# Pairs of matrices for the same input: the effect on the states, and the direct effect on the outputs
 PAIRS = (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw"))
 
 

@@ -111,7 +111,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
     """Checks that the results of a vehicle type's functions fit its names.
 
     Raises:
-        InputError: a result has the wrong type, or its names are not those of the vehicle type.
+        InputError: a result has the wrong type, or its names differ from the names of the vehicle type.
     """
     model, rest, angles = (of(parameters) for of in (kind.linear_model, kind.static_tyre_deflection, kind.angles))
     numbers = [("behind of a wheel", wheel.behind(parameters), NotNegative) for wheel in kind.wheels]

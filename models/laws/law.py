@@ -12,7 +12,7 @@ Design = Callable[[str], T]  # type of a function that designs a linear controll
 
 
 class ControlLaw:
-    """Base class of all controllers. The defaults are those of a law without states, preview, additional delay and certificate.
+    """Base class of all controllers. The defaults are for a law without states, preview, additional delay and certificate.
 
     A controller also has the attributes `linear`, True if linear analysis applies, and `user_code`, True for a Python law.
     """
@@ -85,7 +85,7 @@ class LawSource:
         """Returns the key that gives the path of the law's file relative to another folder; empty for a law without a file.
 
         Raises:
-            InputError: the file is not in that folder or in a folder below it, as vehicle files require.
+            InputError: the file is neither in that folder nor in a folder below it; vehicle files can refer only to such files.
         """
         return {}
 

@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.common.printed import entry, rough
 from models.laws.law import LawSource
 
-FEWER = "of at most"  # part of the remark about a law that has fewer states than the design allows
+FEWER = "of at most"  # these words mark the remark about a law that has fewer states than the design allows
 MATRICES = ("A", "B", "C", "D")
 ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key that sets a single number of a law
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # names of the matrices that `models.laws.preview` uses
@@ -243,7 +243,7 @@ class LinearLaw(LawSource):
             period: sample period [s].
 
         Raises:
-            InputError: a state grows by more than `LARGEST` within a period, or the result has entries that exceed it.
+            InputError: a state grows by more than `LARGEST` within a period, or the result has entries that exceed `LARGEST`.
         """
         if not self.states or self._at(period):
             return replace(self, sample_period=period)

@@ -80,7 +80,7 @@ class OwnLaw:
     def __init__(self, controller: PythonController, forces: int) -> None:
         """Executes the file of the law.
 
-        A function of the caller is reset if it has a method `reset`, and otherwise copied with its state.
+        A function of the caller is reset if it has a method `reset`; otherwise, the function is copied with its state.
 
         Args:
             controller: controller with the law.

@@ -80,7 +80,7 @@ def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
 
 
 def _over(of: LawCoefficients, force: Quantity, v: Quantity) -> Quantity:
-    """Returns the coefficient of a damper that gives a force [N] at a velocity, or at `still` if the velocity is 0."""
+    """Returns the coefficient at which a damper gives a force [N] at a velocity, or at `still` if the velocity is 0."""
     return -force / _choose(v == 0, of.still, v)
 
 
@@ -136,7 +136,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
     """Continuous skyhook of the body's modes: a damper to the sky for heave, pitch and roll each, shared among the corners."""
     damped = moved = 0.0
-    # Terms are added one by one, so that the result does not depend on the number of runs
+    # The terms are added in sequence, so that rounding errors do not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
         damped += to_sky * speed
         moved += share * speed
@@ -161,7 +161,7 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 @dataclass(frozen=True)
 class SemiActiveLaw(LawSource):
-    """Built-in semi-active law, as a vehicle file refers to it.
+    """Built-in semi-active law, in the form in which a vehicle file refers to it.
 
     Attributes:
         name: name of the law, a key of `LAWS`.

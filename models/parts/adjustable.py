@@ -162,7 +162,7 @@ class Adjustable(SettablePart):
 
 
 def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
-    """Returns `Adjustable.nominal_curve`. A parallel characteristic adds only its deviation from its linearisation."""
+    """Returns `Adjustable.nominal_curve`, to which a parallel characteristic adds only its deviation from its linearisation."""
     parts = [(1.0, beside.x, beside.pieces)] if beside is not None else []
     if damper.pair is not None:
         share, pair = (nominal - damper.c_min) / (damper.c_max - damper.c_min), damper.pair

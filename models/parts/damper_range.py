@@ -183,7 +183,7 @@ class CoefficientRange:
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns values of the actuators, shape (..., m), with the columns of elements replaced by other values."""
+    """Returns the values of all actuators, shape (..., m), in which other values replace the columns of elements."""
     if not columns:
         return values
     values = np.array(values)

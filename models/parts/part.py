@@ -186,7 +186,7 @@ class Part(ABC):
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the difference between force and linearisation, without inertance [N], shape (...).
+        """Returns the force minus its linearisation, without inertance [N], shape (...).
 
         For the arguments, see `pull`.
         """
@@ -215,7 +215,7 @@ class Part(ABC):
 
     @property
     def acts(self) -> bool:
-        """False if the part adds nothing to its linearisation."""
+        """False if the force of the part never differs from its linearisation."""
         return self.is_nonlinear or bool(self.inputs)
 
     @property
@@ -553,7 +553,7 @@ class Stack:
         return self._rows(lambda part, *at: part.rate(*at) if self._line else part.rate_beyond(*at), d, v, z, u, z.shape)
 
     def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
-        """Evaluates a function of (part, d, v, z, u) for the rows of each group of parts, and returns all rows."""
+        """Evaluates a function of (part, d, v, z, u) for every group of parts, and returns the results of all parts."""
         if len(self._groups) == 1:
             return of(self._groups[0][0], d, v, z, u)
         total, at = np.empty(shape or np.shape(d)), (slice(None),) * (np.ndim(d) - 2)

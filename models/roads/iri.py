@@ -166,7 +166,7 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
     return np.fft.rfft(np.real(powers[:-1] @ of_slopes), size), np.real(powers[1:] @ of_start), size
 
 
-TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of a vehicle with two tracks
+TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs that a vehicle with two tracks has
 STEP = 0.025  # distance between samples of the profile [m]: a tenth of the length of the moving average
 COARSEST = 0.3  # largest spacing of samples [m]; ASTM E1926 does not define the IRI for larger spacings
 # If the spacing varies by less than this share, the variation counts as a rounding error of distances or coordinates

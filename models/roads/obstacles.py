@@ -12,7 +12,8 @@ from models.common.schema import SI
 from models.roads.road import Bump, Length, Obstacle, Road, ScaledRoad, Speed, Track
 from models.roads.sinusoids import Sine, SineSweep, Start
 
-AT_ONCE = 1e-9  # rounding error of the time at which a wheel meets a vertical edge [s]
+# A time that exceeds the time of a vertical edge by at most this rounding error [s] counts as the time of the edge
+AT_ONCE = 1e-9
 
 
 @dataclass(frozen=True)

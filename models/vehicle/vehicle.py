@@ -158,7 +158,7 @@ class Vehicle(ShownResult):
         road_filter: filter from the disturbance w to the road velocity under every wheel; None if w is the road velocity.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
-        dampers: semi-active dampers that replace actuators, by force.
+        dampers: semi-active dampers that replace actuators, by name of the control force.
         sums: weighted sums of signals in z (34); their rows follow the rows of single signals.
         elements: force elements of `[parts]`.
         force_limits: limits of the force actuators, for controllers with `actuators = "force"` on a vehicle with semi-active

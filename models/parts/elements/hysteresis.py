@@ -49,7 +49,7 @@ class Hysteretic(Part):
     Attributes:
         friction: True if the hysteretic force is friction, which linear analysis omits.
         by_voltage: names of the parameters that depend on the voltage; the first parameter is the force per unit of z.
-        voltage: constant voltage, or voltage when the controller gives no command [V].
+        voltage: constant voltage, or voltage while the controller gives no command [V].
         largest_voltage: largest voltage that a controller sets [V]; None for a constant voltage.
         bandwidth: corner frequency of the lag of the voltage [rad/s]; None for a voltage without lag.
     """
@@ -149,7 +149,7 @@ class Hysteretic(Part):
     def storing(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
         """Returns the rate of the stored energy at constant voltages [W], shape (...).
 
-        The rest of the power `pull` times v is dissipated.
+        The rest of the power, which is `pull` times v, is dissipated.
         """
         A, b, g, n = self.law
         rates, own = self.rate(d, v, z, u), z[..., -1]
