@@ -123,7 +123,7 @@ def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a child when it reads its next message, or by force after twice the time `GRACE`."""
+    """Ends a child when it reads its next message, or kills it after twice the time `GRACE`."""
     assert process.stdin is not None, "it is a pipe"
     with suppress(OSError):
         process.stdin.close()

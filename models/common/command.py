@@ -32,7 +32,7 @@ def _versions() -> dict[str, str]:
     for package in PACKAGES:
         try:
             versions_by_name[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:  # the program runs from a checkout of the source that was never installed
+        except metadata.PackageNotFoundError:  # the program runs from a source checkout, without an installed package
             versions_by_name[package] = "not installed"
     return versions_by_name
 

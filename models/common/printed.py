@@ -94,7 +94,7 @@ def pasted_path(path: Path) -> str:
     return shell_line([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
-WIDEST = 79  # a longer line would wrap to the next line, and could then not be overwritten
+WIDEST = 79  # a longer line of progress would wrap, and could then not be overwritten
 
 
 LONG_STAGE = 3.0  # a line of progress shows the elapsed time after this time [s]

@@ -25,7 +25,7 @@ class ControlLaw:
     code: Any = None  # the `ExportedCode` that computes the law's outputs in runs
     implemented = True  # False if the law ignores the sampling, delay and rate limit of the vehicle file
     false_claims: tuple[str, ...] = ()  # descriptions of the statements in the certificate that are not true
-    specifications = ()  # specifications that the law is designed for or evaluated with
+    specifications = ()  # specifications for which the law is designed, or with which it is evaluated
 
     @property
     def law_key(self) -> DriverKey:
@@ -63,8 +63,8 @@ class ControlLaw:
 class LawSource:
     """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
-    A source also has the attributes `given`, its `LinearLaw`, and `request`, its `DesignRequest`. Each attribute is None if the
-    source is of another type.
+    A source also has two attributes: `given` is its `LinearLaw`, and `request` is its `DesignRequest`. Each attribute is None
+    if the source is of another type.
     """
 
     linear = True  # False if linear analysis does not apply to the law
