@@ -1,7 +1,7 @@
 """Measured characteristics: forces over velocity and deflection, motion ratios over travel, and their tables in files."""
 
-STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of vehicle files for bump stops
-STOP = "stop"  # the key `stop_stiffness` under its other name, which tables and files use
+STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of bump stops in vehicle files
+STOP = "stop"  # other name of the key `stop_stiffness`, which is used for tables and files
 STOP_NAMES = (*STOP_KEYS, STOP)
 RATIO = "ratio"  # heading of the column that gives a motion ratio as a function of travel
 LEAVES = 0.1  # a characteristic counts as nonlinear if it deviates from its linearisation by this share of its largest force

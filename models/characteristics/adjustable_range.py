@@ -37,7 +37,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 
-TOUCHING_DISTANCE = 1e-9  # two characteristics touch if their distance is below this share of the largest force
+# Two characteristics count as touching if their forces differ by less than this share of the largest force
+TOUCHING_DISTANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Envelope:
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Deviation of h from a straight line, as ramps: knot [m/s], increase of the slope beyond the knot, and side (1 or -1).
+        """Ramps whose sum is the deviation of h from a line: knot [m/s], increase of the slope beyond the knot, side (1 or -1).
 
         The increase of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of its actuator as a
         damping ratio.
@@ -155,7 +156,7 @@ class Damper:
     pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
-        """Returns the damper for a vehicle with other elements."""
+        """Returns the damper of a vehicle that has the given elements of `[parts]`."""
         return self
 
     @property
@@ -167,7 +168,7 @@ class Damper:
 
 
 def _coefficient(setting: str, low: float) -> ReadBy:
-    """Returns the key for a damper's coefficient at a setting, or for the table of its force over velocity."""
+    """Returns the declaration of a key for a damper's coefficient at a setting, or for its table of force over velocity."""
     number = SI("N s/m", f"coefficient at the {setting} setting, or the table of its force", low)
 
     def read(value: Any, context: Mapping[str, Any]) -> float | ForceCurve:
@@ -228,8 +229,9 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
-        section: keys for all dampers, and sections for single dampers, named by the suffix of their force.
-        corners: suffix of the name of each control force, including the underscore, by force.
+        section: keys for all dampers, and sections for single dampers; the name of a section is the suffix of the damper's
+            force.
+        corners: for each control force, the suffix of its name, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 
     Raises:

@@ -34,7 +34,7 @@ class Pieces:
 
     Attributes:
         slope: slope a of each segment [N per unit of the argument], shape (..., P).
-        start: end k of each segment, the one closer to 0 [unit of the argument], shape (..., P).
+        start: end k of each segment that is closer to 0 [unit of the argument], shape (..., P).
         low: lower bound of the force [N], shape (..., P); infinite for a segment without end.
         high: upper bound of the force [N], shape (..., P); infinite for a segment without end.
     """
@@ -46,7 +46,8 @@ class Pieces:
 
     def force(self, x: Array) -> Array:
         """Returns the sum of the segments at given arguments [N], shape (...)."""
-        # This code runs in each stage of a time step, so it is fast: NumPy's `clip` and `sum` would take twice as long.
+        # This code runs in each stage of a time step, so it does not use NumPy's `clip` and `sum`, which would take twice as
+        # long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
 
     def __getitem__(self, which: Array | slice) -> "Pieces":
@@ -76,8 +77,8 @@ class ForceCurve:
         force: forces at the points [N], 0 at x = 0, shape (n,).
         slope: slope of the straight line that linear analysis uses [N s/m or N/m].
         words: description of the characteristic, a phrase.
-        at_rest: force of the table in equilibrium, which is not part of `force` [N].
-        note: remark about the table of the file, a phrase.
+        at_rest: force of the original table in equilibrium [N], which is not included in `force`.
+        note: remark about the table in the file, a phrase.
         whole: characteristic with all points of the table, if this object has fewer points.
         error: largest difference from `whole` [N].
     """
@@ -121,7 +122,7 @@ class ForceCurve:
             more: additional load [N].
 
         Raises:
-            InputError: the table does not contain this load.
+            InputError: the forces in the table do not reach this load.
         """
         own = self.whole or self
         low, high = -float(own.force.max()), -float(own.force.min())
@@ -190,7 +191,8 @@ class ForceCurve:
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]
-            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # this argument lies far outside any range of motion
+            # This argument is far outside every possible range of motion
+            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3
             x = np.append(self.x[points], side * beyond)
             apart = self.pieces.force(x)
             hit = np.flatnonzero(np.abs(apart) >= limit)

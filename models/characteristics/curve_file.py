@@ -90,7 +90,7 @@ def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) 
     Args:
         entry: entry of the vehicle file.
         path: keys that lead to the entry.
-        texts: True if every text that is not a number with a unit is a file name.
+        texts: True if every text in the entry is a file name, unless it is a number with a unit.
     """
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
     if named or _names_file(entry) or (isinstance(entry, list) and any(map(_names_file, entry))):
@@ -150,12 +150,13 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
 
     The words in the headings determine the signs. The data sheet of a damper dynamometer has a speed v, a rebound force and a
     compression force in each row. F(v) is then the rebound force, and F(-v) is minus the compression force. A table whose
-    argument goes back and forth is a measured loop.
+    argument goes back and forth is a measured hysteresis loop.
 
     Args:
         text: content of the file.
-        over: argument: "velocity", "deflection", or "compression" for a stop; empty for velocity or deflection.
-        give: required content of the file, for messages.
+        over: argument of the force: "velocity", "deflection", or "compression" for a stop; empty if it may be velocity or
+            deflection.
+        give: description of the content that the file must have, for messages.
     """
     table = find_table(text, give)
     headings = table.headings([QUANTITIES[name].si for name in ROLES])
@@ -219,7 +220,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
             x, force, said = loop
             notes += [*about, said]
     order = np.argsort(x, kind="stable")
-    # A table that contains a part of a loop is monotonic neither in its argument nor in its force
+    # A table that contains a part of a hysteresis loop is monotonic neither in its argument nor in its force
     if (np.diff(x) <= 0).all() or (np.diff(force[order]) >= 0).all():
         x, force = x[order], force[order]
     different = np.append(True, (np.diff(x) != 0) | (np.diff(force) != 0))
@@ -243,7 +244,7 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
         load: heading of the column with force.
 
     Raises:
-        InputError: the headings give both directions, but the damper would supply energy.
+        InputError: the headings state the signs of velocity and force, but with these signs the damper would supply energy.
     """
     if (power := dissipation(velocity, force)) > 0:
         return (1.0, 1.0), []
@@ -300,7 +301,7 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
 
 
 def _dpr_columns(text: str) -> str:
-    """Returns the table of a damper property file with headings, and the number of each row's line in the file."""
+    """Returns the table of a damper property file with headings, and the line number of each row in the file."""
     text = re.sub(r"[$!].*", "", text)
     # Number of lines of text before each block
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}

@@ -35,7 +35,7 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point to which a straight line stays within the allowed error at all points in between."""
+    """Returns the last point that a straight line can reach with at most the allowed error at all points in between."""
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # Every point between the two ends limits the slope of the line from above and from below.
     steepest = np.minimum.accumulate((rise + error) / run)
@@ -72,7 +72,7 @@ def slopes_at_rest(x: Array, force: Array, error: float) -> tuple[float, float]:
     """Returns the slopes of a table below and above 0.
 
     Without noise, these are the slopes of the segments at 0. Noise is the deviation of the points from smooth curves through
-    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest one from which no point
+    their neighbours. With noise, the function fits least-squares lines through 0, and uses the longest line from which no point
     deviates by more than the noise.
 
     Args:

@@ -12,19 +12,19 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import rough
 
-CYCLES = 10  # a log is evaluated over this number of cycles at its end
+CYCLES = 10  # only this number of cycles at the end of a log is evaluated
 STROKE = 0.5  # a stroke that is shorter than this share of the displacement's range does not end a cycle
 # Cut-off frequency of the smoothing filter, relative to the frequency of the cycles, and degree of the filter's polynomials
 HARMONICS, ORDER = 12.0, 3
 LEAST_SIDE = 3  # the smoothing filter uses at least this number of samples on each side of its centre
-NEARLY = 0.05  # a cycle counts as full if at most this share of it is missing
+NEARLY = 0.05  # a cycle counts as complete if at most this share of the cycle is missing
 SAMPLES = 25.0  # a cycle must have at least this number of samples
 GAP = 10.0  # longest allowed time between two samples, relative to the mean time between samples
-LEAST_CORRELATION = 0.05  # smallest allowed correlation between force and velocity
+LEAST_CORRELATION = 0.05  # the force counts as independent of the velocity if the magnitude of their correlation is below this
 
 
 def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:
-    """Returns velocity [m/s] and force [N] of the last full cycles in a log, shapes (k,), and a phrase about the method.
+    """Returns velocity [m/s] and force [N] of the last full cycles in a log, shapes (k,), and describes the method in a phrase.
 
     Args:
         time: times of the samples, ascending [s], shape (n,).

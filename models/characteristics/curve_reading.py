@@ -19,13 +19,13 @@ from models.common.schema import HERE, SI, ListedValues, Section, Text, read
 
 FRICTION_ERROR = 0.02  # largest error of the straight segments that replace the friction force, relative to this force
 FRICTION_ENDS = 3.0  # above this velocity, relative to the velocity v0 of the friction, the friction force is constant
-# Number of points that represent the smooth friction function. Some of these points become ends of straight segments; between
-# two points, the error is 1e-5
+# Number of points that represent the smooth friction function. Some of these points become ends of straight segments; the
+# interpolation error between two points is 1e-5
 FRICTION_POINTS = 601
 
 
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
-    """Returns points of a friction F tanh(v / v0).
+    """Returns points of the friction force F tanh(v / v0).
 
     Straight segments between the points have an error of at most `FRICTION_ERROR` F.
 
@@ -44,7 +44,7 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     return velocity * v, force * smooth
 
 
-MOST_POINTS = 20_000  # largest number of points of a table
+MOST_POINTS = 20_000  # largest allowed number of points in a table
 # Largest number of segments of a characteristic without friction. Each segment is a MuJoCo actuator, and makes a time step of a
 # quarter-car 2 % slower
 MOST_LINES = 24
@@ -52,7 +52,7 @@ AT_REST = 2  # an approximation has this number of additional segments, which ke
 # Errors that are allowed when a table with more than `MOST_LINES` segments is approximated, relative to the largest force. The
 # first of these errors that gives few enough segments is used.
 ERRORS = (0.005, 0.01, 0.02)
-ROUNDING = 1e-9  # rounding error relative to a range
+ROUNDING = 1e-9  # force differences below this share of the largest force count as rounding errors
 # Smallest distance between two points, relative to the range; at smaller distances, rounding errors would dominate
 CLOSEST = 1e-9
 # Smallest range of a table's argument [m or m/s] and smallest force [N]; a table with smaller values is probably a mistake
@@ -108,7 +108,7 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class TableSection(Section):
-    """A table of a quantity over an argument, or the name of a file with the table."""
+    """Section with a table of a quantity over an argument, or with the name of a file that contains the table."""
 
     arguments: ClassVar[tuple[str, ...]] = ("velocity",)
     of: ClassVar[str] = "force"
@@ -183,7 +183,7 @@ class SpringTable(StopTableSection):
 
 @dataclass(frozen=True)
 class DamperTable(CurveTable):
-    """Force of a damper, with friction F tanh(v / v0)."""
+    """Force of a damper, including the friction force F tanh(v / v0)."""
 
     hints: ClassVar[Mapping[str, str]] = {"deflection": ALONE}
 
@@ -270,7 +270,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns the sum of slopes and tables as one characteristic."""
+    """Returns one characteristic whose force is the sum of slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")
@@ -311,8 +311,9 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         x: deflections or velocities of the table [m or m/s], shape (n,).
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
-        preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at 0 of the table.
-        alone: False if the table is one of several; it may then be a stop that acts only on one side of equilibrium.
+        preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the table.
+        alone: False if the characteristic is a sum of several tables; this table may then belong to a stop that acts only on
+            one side of equilibrium.
     """
     if preload:
         x = x - _deflection_under_load(x, force, preload)

@@ -1,4 +1,4 @@
-"""Mean characteristic of a measured loop: the points of a test that moves a damper, spring or stop back and forth.
+"""Mean characteristic of a measured hysteresis loop: the points of a test that moves a damper, spring or stop back and forth.
 
 In such a test, the force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
 or to the branch on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and the
@@ -16,22 +16,22 @@ from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import rough
 
-# Texts of the note about a measured loop; the second text is used only for dampers
+# Texts of the note about a measured hysteresis loop; the second text is used only for dampers
 LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
 TURN = 0.1  # a reversal of direction that is smaller than this share of the range counts as noise
 OVERLAP = 0.5  # two branches that overlap by less than this share of the range do not form a loop
 BINS = 200  # number of intervals over which each branch of a loop is averaged
-ROUNDING = 1e-9  # rounding error of a force, relative to the largest force
+ROUNDING = 1e-9  # a mean force at argument 0 below this share of the largest force counts as a rounding error
 
 
 def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Array, Array, str] | None:
-    """Returns the mean characteristic of a loop, or None if the points are not a loop.
+    """Returns the mean characteristic of a hysteresis loop, or None if the points do not form a loop.
 
     Args:
         x: argument in the order of the measurement, shape (n,).
         force: force [N], shape (n,).
         unit: unit of the argument.
-        at_rest: True to subtract the mean force at 0, which is caused by the gas in a damper.
+        at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.
 
     Returns:
         Argument (ascending) and force of the mean, shapes (k,), and a phrase for the note. The phrase gives the largest
@@ -64,7 +64,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
 
 def slope_words(curve: ForceCurve) -> str:
-    """Returns a phrase about the slope of a loop's mean at 0 and the range of this slope; empty if there is no loop."""
+    """Describes the slope at 0 of a hysteresis loop's mean, and the range of this slope; empty if there is no loop."""
     if LOOP not in curve.note:
         return ""
     i = int(np.searchsorted(curve.x, 0.0))
@@ -74,7 +74,7 @@ def slope_words(curve: ForceCurve) -> str:
 
 
 def _bin_means(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:
-    """Returns the mean points of a branch in bins of the argument, in ascending order."""
+    """Returns the mean point of a branch in each bin of the argument, in ascending order."""
     which = np.minimum(((x - start) / span * BINS).astype(int), BINS - 1)
     count = np.bincount(which, minlength=BINS)
     means = [np.bincount(which, values, BINS)[count > 0] / count[count > 0] for values in (x, force)]

@@ -1,7 +1,7 @@
 """Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, with linear interpolation.
 
-Beyond the points of the table, the ratio is constant. The travel D between an element's own ends is the integral of r over d
-from equilibrium. `models.parts.ratio` computes the forces of an element with a motion ratio.
+Beyond the points of the table, the ratio is constant. The element's own travel D, the change of the distance between its two
+ends, is the integral of r over d from equilibrium. `models.parts.ratio` computes the forces of an element with a motion ratio.
 """
 
 from collections.abc import Callable
@@ -93,7 +93,7 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Segments of the table and its ends: start, travel and ratio at the start, and slope of the ratio, shape (4, n + 1)."""
+        """Segments in and beyond the table: start, travel and ratio at the start, and slope of the ratio, shape (4, n + 1)."""
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
         rest = int(np.searchsorted(x, 0.0, side="right")) - 1
@@ -120,7 +120,7 @@ class RatioTable:
         return self.ratio_and_travel(deflection)[1]
 
     def deflection(self, travel: Array) -> Array:
-        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method. D rises everywhere."""
+        """Returns the deflections [m] for travels [m] of the element, shape (...), by Newton's method; D rises with d."""
         d = travel / self.at_rest
         for _ in range(TRIALS):
             d = d - (self.travel(d) - travel) / self(d)
@@ -142,7 +142,7 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic. The largest force of an element is computed at the ends of a given range of travel."""
+    """Returns a straight characteristic between two ends of travel, at which the largest force of an element is computed."""
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
 

@@ -64,7 +64,7 @@ class ForceSurface(ForceCurve):
     def mean(self, centre: float, deviation: float) -> ForceCurve:
         """Returns the mean of the force F over normally distributed deflections, at the velocities of the table.
 
-        Deflections and velocities are independent.
+        Deflections and velocities are assumed to be statistically independent.
 
         Args:
             centre: mean of the deflections [m].
@@ -76,7 +76,7 @@ class ForceSurface(ForceCurve):
         force = self.along(x[:, None], centre + deviation * z) @ (weight / weight.sum())
         return ForceCurve(x, force, slope_at_rest(x, force), self.words)
 
-    together = None  # pyright: ignore[reportAssignmentType]  # each has cells of its own
+    together = None  # pyright: ignore[reportAssignmentType]  # every surface has its own cells, so surfaces cannot be combined
 
     @cached_property
     def is_nonlinear(self) -> bool:

@@ -33,7 +33,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
 
     Args:
         text: content of the file.
-        give: required content of the file, for messages.
+        give: description of the content that the file must have, for messages.
 
     Raises:
         InputError: a sheet has no units, or a list does not contain each pair exactly once.

@@ -33,7 +33,8 @@ class Must:
     """Additional condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
 
     Attributes:
-        words: description of the allowed values. If it begins with a comma or space, it follows the description of the type.
+        words: description of the allowed values. If the text begins with a comma or space, messages append it to the
+            description of the type.
         holds: function that returns True for an allowed value; the value has the annotated type.
         unit: unit of a number; empty for other values. A text with another unit is converted: "60 mm" is 0.06 in m.
     """
@@ -129,7 +130,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that first checks its arguments by their annotations.
 
-    If the function returns a vehicle or runs, it also issues their warnings, each one once.
+    If the function returns a vehicle or runs, it also issues the warnings about them, each warning once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 

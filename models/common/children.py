@@ -41,8 +41,8 @@ class Child:
 
         Args:
             answers: generator function that runs in the child. The function receives an iterator of messages and yields an
-                answer for each message. `receive` raises an exception that the function yields or raises. An exception that the
-                function raises ends the child.
+                answer for each message. If the function yields or raises an exception, `receive` raises this exception. If the
+                function raises the exception, the child also ends.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(
@@ -123,7 +123,7 @@ def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a child when it reads its next message, or by force after twice the time `GRACE`."""
+    """Ends a child when it reads its next message, or kills it after twice the time `GRACE`."""
     assert process.stdin is not None, "it is a pipe"
     with suppress(OSError):
         process.stdin.close()

@@ -47,7 +47,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
         import importlib
         import warnings
 
-        # Interrupts stay ignored if they were ignored before, as in a background job of a script
+        # If interrupts were ignored before the command started, as in a background job of a script, they stay ignored
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)
         gc.set_threshold(GARBAGE)

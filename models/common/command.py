@@ -32,7 +32,7 @@ def _versions() -> dict[str, str]:
     for package in PACKAGES:
         try:
             versions_by_name[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:  # the program runs from a checkout of the source that was never installed
+        except metadata.PackageNotFoundError:  # the program runs from a source checkout, without an installed package
             versions_by_name[package] = "not installed"
     return versions_by_name
 
@@ -70,7 +70,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
-        """Returns a text in which commands have the form in which the user called this one:
+        """Returns a text whose commands are written in the form in which the user called this command:
 
         `roadproof bump` or `python -m sim.bump`.
         """
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
         return options, others
 
     def _advice(self, args: Sequence[str]) -> str:
-        """Returns advice about the last one of the arguments that the parser does not expect."""
+        """Returns advice about the last argument that the parser does not expect."""
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
@@ -218,7 +218,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
     def add_gone(self, option: str, instead: str) -> None:
-        """Adds an option that no longer exists, which is refused with advice."""
+        """Adds an option that was removed; the error message for this option gives advice."""
         self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
@@ -266,7 +266,7 @@ def chosen_of(
         usual: default names, as in `chosen_controllers`.
 
     Raises:
-        InputError: an error of `chosen_controllers`, or a vehicle without any of the controllers.
+        InputError: any error of `chosen_controllers`, or a vehicle has none of the selected controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
     every = chosen_controllers(known, given, usual)
@@ -322,7 +322,7 @@ class _Vehicles(argparse.Action):
 
 
 class _GoneOption(argparse.Action):
-    """Option that no longer exists."""
+    """Removed option, whose use causes an error message with advice."""
 
     def __init__(self, option_strings, dest, instead, help=None) -> None:
         super().__init__(option_strings, argparse.SUPPRESS, nargs="?", help=help)
@@ -372,7 +372,7 @@ def print_json(result: Mapping[str, Any]) -> None:
 def _page(text: str) -> str:
     """Returns a text of `--help` with wrapped paragraphs.
 
-    Examples are indented, and a long example continues after a backslash.
+    Examples are indented. A long example is broken after a backslash.
     """
     text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # the lines of each paragraph are joined to one line
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]
@@ -380,7 +380,7 @@ def _page(text: str) -> str:
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example as lines that fit the width of the output, and that can be copied together."""
+    """Returns an example as lines that fit the width of the output and that a user can copy together."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 

@@ -194,7 +194,7 @@ def _target(path: Path, what: str, instead: str) -> Path:
 
 
 def _is_stream(path: Path) -> bool:
-    """Returns True for standard output, a pipe or a device, which receive their content but are not replaced."""
+    """Returns True for standard output, a pipe or a device: content is written to them, but they are not replaced."""
     return path == STDOUT or (path.exists() and not path.is_file() and not path.is_dir())
 
 
@@ -208,7 +208,7 @@ def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is the same for all paths of a file or folder: links, hard links, and names in another case."""
+    """Returns a value that is equal for all paths of the same file or folder: links, hard links, and names in another case."""
     try:
         status = path.stat()
     except (OSError, ValueError):

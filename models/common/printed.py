@@ -21,10 +21,10 @@ NORM_DIGITS = ".7g"  # format of a norm, a bound on a norm, or a level
 digits = f"{{:{NORM_DIGITS}}}".format
 entry = "{:.6g}".format  # format of an entry of a gain or of a control law
 rough = "{:.4g}".format  # format of a pole, a rate, a time or a slope
-brief = "{:.3g}".format  # format of a number that is compared with others
+brief = "{:.3g}".format  # format of a number that readers compare with other numbers
 about = "{:.2g}".format  # format of an estimate
 magnitude = "{:.0e}".format  # format of a rounding error
-# Format of a value whose claim does not hold; the true value may differ from the claimed value only slightly
+# Format of the claimed and the true value if a claim does not hold; the two values may differ only slightly
 exactly = "{:.10g}".format
 
 
@@ -79,7 +79,7 @@ def percent(share: float) -> str:
 
 
 def size(rows: Sequence[Any]) -> str:
-    """Returns a text with the number of rows and the time that they cover."""
+    """Describes in words how many rows there are, and the time that they cover."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"
 
@@ -94,7 +94,7 @@ def pasted_path(path: Path) -> str:
     return shell_line([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
-WIDEST = 79  # a longer line would wrap to the next line, and could then not be overwritten
+WIDEST = 79  # a longer line of progress would wrap, and could then not be overwritten
 
 
 LONG_STAGE = 3.0  # a line of progress shows the elapsed time after this time [s]
@@ -186,7 +186,7 @@ FEW = 3
 
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = LINES, source: str = "-v prints") -> list[str]:
-    """Returns the sentences that fit on a terminal together with other lines, and a line with the number of omitted sentences.
+    """Returns the sentences that fit on a terminal together with other lines, and a line that states how many are omitted.
 
     The first sentence is always included.
 

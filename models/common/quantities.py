@@ -52,7 +52,7 @@ _WORDS: Mapping[str, str] = {  # quantities that no reader uses, and words in he
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
-# Words of a heading that tell its sign: 1 for positive in extension, -1 for positive in compression
+# Words of a heading that state the sign of the numbers below it: 1 for positive in extension, -1 for positive in compression
 DIRECTIONS: Mapping[str, int] = {
     word: sign
     for sign, words in (
@@ -158,7 +158,7 @@ def columns_in_words(headings: Sequence[Heading]) -> str:
 
 
 def left_out_words(headings: Sequence[Heading], used: Collection[int]) -> list[str]:
-    """Returns a remark about columns with headings that are not used; empty if all are used.
+    """Returns a remark about columns that have a heading but are not used; empty if all columns are used.
 
     Args:
         headings: headings of all columns.

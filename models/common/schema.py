@@ -41,7 +41,7 @@ class Key:
 
     Attributes:
         unit: unit of the value; empty for a value without a unit.
-        meaning: description of the key, one phrase.
+        meaning: description of the key in one phrase.
         schema: JSON schema of the value, if it is equal for all keys of the class.
     """
 
@@ -71,7 +71,7 @@ class Key:
 class SI(Key):
     """A number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an invalid value.
 
-    Infinity is allowed if it is the largest value. Like `Must`, this annotation can also be a condition for
+    Infinity is allowed if the range has no upper limit. Like `Must`, this annotation can also be a condition for
     `models.common.checks`.
     """
 

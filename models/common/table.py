@@ -56,7 +56,7 @@ class NumberTable:
         first: index of the first line of numbers.
         separator: separator of cells.
         count: number of columns.
-        give: required content of the file, for messages.
+        give: description of the content that the file must have, for messages.
     """
 
     lines: Sequence[str]
@@ -115,7 +115,7 @@ class NumberTable:
     def _heading_cells(self, line: str) -> list[str]:
         """Returns the cells of a line above the numbers; empty if their number is wrong.
 
-        The separator may differ from the one of the numbers.
+        The separator may differ from the separator of the numbers.
         """
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
@@ -134,7 +134,7 @@ class NumberTable:
                 yield number, cells
 
     def numbers(self, columns: Sequence[int] = (), ragged: bool = False, gaps: bool = False) -> tuple[Array, Sequence[int]]:
-        """Returns the numbers of columns, shape (rows, columns), and the line number of every row, counted from 1.
+        """Returns the numbers in columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
             columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
@@ -332,7 +332,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
     Args:
         text: the text.
-        give: required content of the file, for messages.
+        give: description of the content that the file must have, for messages.
         separator: separator from `SEPARATORS`; empty to detect the separator in that line.
         column: number of this column, counted from 0.
 
@@ -373,7 +373,7 @@ def _number(cell: str) -> float | None:
 
 
 def _maybe_unit(heading: Heading) -> bool:
-    """Returns True for a cell that may be on a line of units: an empty cell, a known unit, or a short word such as V."""
+    """Returns True for a cell that may belong to a line of units: an empty cell, a known unit, or a short word such as V."""
     return heading.name == "s" or (len(heading.name) <= LONGEST_UNIT and heading.quantity in ("", UNREAD))
 
 

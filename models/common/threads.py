@@ -54,10 +54,10 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # number of pieces of work that are taken for each thread: one piece runs, and one waits
+AHEAD = 2  # number of pieces of work that are taken in advance for each thread: one piece runs, and one piece waits
 
 Result = TypeVar("Result")
-# A piece of work gets a function, which returns True if the work is to be abandoned
+# A piece of work is called with a function that returns True if the work is to be abandoned
 Piece = Callable[[Callable[[], bool]], Result]
 
 
@@ -94,7 +94,7 @@ def side_by_side(
                     return
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
                     yield running.pop(done), done.result()
-        except BaseException:  # also if the caller stops before the last result
+        except BaseException:  # this branch is also used if the caller stops before the last result
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
             abandon()

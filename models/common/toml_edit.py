@@ -102,7 +102,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
 
 
 def _normal(value: Any) -> str:
-    """Returns a text that is equal for equal tables, independent of their order. NaN values are equal."""
+    """Returns a text that is equal for equal tables, independent of the order of their keys. All NaN values count as equal."""
     return json.dumps(value, sort_keys=True, default=str)
 
 

@@ -17,7 +17,7 @@ from models.document.field import Detail, Field, T, cells, titles
 if TYPE_CHECKING:
     from models.document.figure import Figure
 
-# State of a claim: nothing is claimed, the claim holds, it holds only up to some point, or it is wrong
+# State of a claim: no claim, a true claim, a claim that holds only up to some point, or a wrong claim
 State = Literal["note", "holds", "ends", "fails"]
 STATES: tuple[State, ...] = ("note", "holds", "ends", "fails")
 LEVELS: tuple[Detail, ...] = ("brief", "normal", "full")

@@ -51,7 +51,7 @@ class Field(Generic[Of]):
         return self.digits(self.value(one))
 
     def digits(self, value: Any) -> str:
-        """Returns a value in SI units as text without its unit, in the form of `cell`."""
+        """Returns a value in SI units as text without its unit, in the same form as `cell`."""
         if isinstance(value, str) or value is None:
             return "-" if value is None else value
         value = self.scale * value
@@ -77,7 +77,7 @@ class Field(Generic[Of]):
 
 
 def titles(fields: Iterable[Field[Any]]) -> tuple[str, ...]:
-    """Returns the headings of the fields."""
+    """Returns the column headings of the fields."""
     return tuple(field.title for field in fields)
 
 
@@ -104,7 +104,7 @@ class Record(Generic[T]):
     """
 
     def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[Any] | Value[Any]") -> None:
-        """Prepares the object.
+        """Prepares the record from the parts that give its values.
 
         Args:
             parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The

@@ -76,7 +76,7 @@ class Curve:
         dash: dash pattern of the line.
         marker: marker of every point; empty for points without a marker.
         width: width of the line [points].
-        filled: True for filled markers instead of hollow ones.
+        filled: True for filled markers, False for hollow markers.
     """
 
     x: Array
@@ -99,7 +99,7 @@ class Classes:
         y: vertical centres of the cells, equidistant, shape (M,).
         kind: index of each cell's class, shape (M, N).
         colors: colours of the classes.
-        names: names of the classes; the legend contains those that occur.
+        names: names of the classes; the legend contains the classes that occur.
     """
 
     x: Array
@@ -130,7 +130,8 @@ class Classes:
 
 
 ROOM = 0.04  # margin at both ends of an axis, relative to the range of the axis
-WIDE = 8  # the name of a class fits into a map if the class is at least 1/WIDE of the map's width deep
+# A map shows the name of a class if the innermost cell of the class is more than 1/WIDE of the map's width from its edge
+WIDE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +273,7 @@ def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
 def drawn_indices(y: Array, every: int) -> Array:
     """Returns the indices of the points to draw for a line, so that even the shortest peak remains visible.
 
-    In each group of 2 `every` points, the largest and the smallest are drawn. Both ends of the line are also drawn.
+    In each group of 2 * `every` points, the largest and the smallest are drawn. Both ends of the line are also drawn.
 
     Args:
         y: values of the line, shape (N,), N at least 1.

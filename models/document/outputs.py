@@ -82,7 +82,7 @@ def _check_ending(path: Path, what: str) -> None:
 
 
 def _is_own(path: Path) -> bool:
-    """Returns True if saving a vehicle file loses no data: the file does not exist, is empty, or was saved by a command."""
+    """Returns True if saving a vehicle file destroys no data: the file does not exist, is empty, or was saved by a command."""
     if not path.is_file() or not path.stat().st_size:
         return True
     with path.open("rb") as lines:

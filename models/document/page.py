@@ -29,7 +29,7 @@ STYLE = """<style>
 .roadproof .legend .plot {width: 34px; height: 14px; vertical-align: middle; margin-right: 6px}
 </style>"""
 IN_NOTEBOOK = "\1"  # placeholder in front of each identifier of an HTML fragment
-# A page shows this number of statements before the first figure or table; further statements that claim nothing are collapsed
+# A page shows this number of statements before the first figure or table; further statements without a claim are collapsed
 BRIEF = 2
 
 
@@ -38,7 +38,8 @@ VERDICTS: dict[State, str] = {
     "ends": "no check fails, but not every claim holds throughout",
     "fails": "something FAILS",
 }
-MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}  # these marks show a state without relying on colour alone
+# These marks show a state to readers who cannot distinguish colours
+MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ def _kind(block: Block) -> str:
 
 
 def _split_statements(section: Document) -> tuple[list[Statement], list[Statement]]:
-    """Returns the statements of a section that are shown, and those that are folded."""
+    """Returns the statements of a section that are shown, and the statements that are folded."""
     texts = [block for block in section.blocks if isinstance(block, Statement)]
     shown = [
         one for i, one in enumerate(texts) if one.state != "note" or one.detail == "brief" or (i < BRIEF and one.detail != "full")

@@ -94,7 +94,7 @@ class Sketch:
     Attributes:
         title: title of the sketch.
         views: views from top to bottom.
-        rows: symbol, meaning and value of everything that is drawn or present. A symbol may be empty.
+        rows: symbol, meaning and value of all drawn or existing parts. A symbol may be empty.
     """
 
     title: str

@@ -12,10 +12,10 @@ from models.document.document import NOTE, Block, Detail, Document, Statement, T
 
 HANG = 6  # spaces at the beginning of a remark that is printed below its row
 HEADING = 3  # largest number of lines of a column heading
-# A table with more rows than this counts as long; its columns move closer together before a heading gets a third line
+# A table with more rows than this counts as long; the space between its columns is reduced before a heading gets a third line
 LONG = 10
 CHANGE = " change [%]"  # end of the heading of a column that shows the changes of the numbers in the preceding column
-BEST = "*"  # this mark follows the best number of a column
+BEST = "*"  # this mark follows the best number in a column
 
 
 def names_text(names: Iterable[str]) -> str:

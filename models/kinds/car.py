@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 
-MOTIONS = {  # signals of velocity and acceleration of the body, by the parameter that a type has if its body moves in this way
+MOTIONS = {  # parameter that a type has if its body makes this motion, and signals of the motion's velocity and acceleration
     "sprung_mass": (signals.HEAVE_VELOCITY, signals.HEAVE_ACCELERATION),
     "pitch_inertia": (signals.PITCH_RATE, signals.PITCH_ACCELERATION),
     "roll_inertia": (signals.ROLL_RATE, signals.ROLL_ACCELERATION),
@@ -49,8 +49,9 @@ class Car:
     Attributes:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
         corners: names of the c corners: an axle, a side, or an axle and a side.
-        modes: modes of the tyre deflections that are states, by name, each of shape (c,).
-        warp: motion of the wheels that a rigid body cannot follow, for axles of equal track width, shape (c,); zero without one.
+        modes: modes of the tyre deflections that are states; each has a name, and the shape (c,).
+        warp: motion of the wheels that a rigid body cannot follow, for axles of equal track width, shape (c,); zero if there is
+            no such motion.
     """
 
     parameters: tuple[Parameter, ...]
@@ -178,7 +179,7 @@ class Car:
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-        """Returns, by name, the loads [N, N m] of links and wheel inertia that add to the moment of a force on the body.
+        """Returns the loads [N, N m] that links and wheel inertia add to the moment of a force on the body, by name.
 
         For the arguments, see `links.carried_loads`.
         """

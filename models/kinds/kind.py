@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Variation(CheckedFields):
-    """Range of a parameter, without effect; vehicle types written for earlier versions may still contain it.
+    """Range of a parameter, which has no effect; vehicle types written for earlier versions may still contain such a range.
 
     Attributes:
         name: name of the varied quantity.
@@ -88,7 +88,7 @@ class Parameter(CheckedFields):
 
     @property
     def number(self) -> SI:
-        """Unit, meaning and range of the parameter, as for a key of a section."""
+        """Unit, meaning and range of the parameter, in the form that keys of sections have."""
         least = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         return SI(self.unit, self.meaning, least, self.largest)
 
@@ -185,7 +185,7 @@ class Suspension(CheckedFields):
         stiffness: name of the parameter of the spring; empty without a spring. A characteristic can replace the parameter.
         damping: name of the parameter of the damper; empty without a damper. A characteristic can replace the parameter.
         ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
-            Empty for elements at the wheel. The equations of a vehicle type are for elements at the wheel;
+            Empty if the elements act directly at the wheel. The equations of a vehicle type are for elements at the wheel;
             `VehicleKind.at_wheels` converts the parameters.
     """
 
@@ -318,10 +318,10 @@ class VehicleKind(CheckedFields):
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
             Empty unless the type belongs to a vehicle with such ratios.
-        people: signals of the accelerations [m/s2] at points with a person, the most important point first. None means the
-            masses above the body, if there are any. An empty tuple means that there is no person.
-        of_parts: signals of the own states of force elements. These signals are also part of `signals`, but have no sensors.
-            Empty unless the type belongs to a vehicle with such elements.
+        people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
+            None means the masses above the body, if there are any. An empty tuple means that there is no person.
+        of_parts: signals of the internal states of force elements. These signals are also part of `signals`, but have no
+            sensors. Empty unless the type belongs to a vehicle with such elements.
         lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.
     """
 
@@ -372,10 +372,10 @@ class VehicleKind(CheckedFields):
         return replace(self, signals=(*self.signals, *named)) if named else self
 
     def with_states(self, of_parts: tuple[Signal, ...]) -> "VehicleKind":
-        """Returns the vehicle type with other signals of the own states of force elements.
+        """Returns the vehicle type with other signals of the internal states of force elements.
 
         Args:
-            of_parts: signals of the own states, which replace the present ones.
+            of_parts: signals of the internal states, which replace the present signals.
 
         Raises:
             InputError: the name of a new signal is already used.
@@ -460,7 +460,7 @@ class VehicleKind(CheckedFields):
         return {force: ratios.get(force, 1.0) for force in forces}
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with the signals of this type's vehicles. The models of the last vehicles are cached."""
+        """Returns the linear model with the signals of this type's vehicles. The most recent models are cached."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             model = self.full_model(parameters).of(names_of(self.signals))
@@ -556,7 +556,7 @@ class VehicleKind(CheckedFields):
         return self.folder / f"{self.name}.xml"
 
     def check_each(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters in the order of the vehicle type, after checking each one separately.
+        """Returns all parameters in the order of the vehicle type, after checking each parameter separately.
 
         Raises:
             InputError: a parameter is missing, unknown or not allowed.
@@ -577,7 +577,7 @@ class VehicleKind(CheckedFields):
         return checked
 
     def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters in the order of the vehicle type, after checking each one and their combination.
+        """Returns all parameters in the order of the vehicle type, after checking each parameter and their combination.
 
         Raises:
             InputError: any error of `check_each`, or the combination is not a valid vehicle. The error is also raised if a tyre

@@ -23,12 +23,13 @@ from models.common.arrays import Array
 from models.common.checks import Positive, check_fields, check_shape
 from models.common.errors import InputError, list_names, short_repr
 
-# The names of the columns of each matrix that has a row for each state, and of each matrix that has a row for each output
+# Fields with the names of the columns: of the matrices that have a row for each state, then of the matrices that have a row for
+# each output
 OF_STATES = {"A": "states", "B": "inputs", "Bw": "disturbances", "Br": "disturbances", "Bt": "disturbances", "Bl": "loads"}
 OF_OUTPUTS = {"C": "states", "D": "inputs", "Cr": "disturbances", "Dw": "disturbances", "Dl": "loads"}
 AXES = {name: (rows, of[name]) for rows, of in (("states", OF_STATES), ("outputs", OF_OUTPUTS)) for name in of}
 OPTIONAL = ("Bl", "Dl", "Bt", "Dw")
-# Each matrix that acts on the states, with the matrix of the same input that acts directly on the outputs
+# Pairs of matrices for the same input: the effect on the states, and the direct effect on the outputs
 PAIRS = (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw"))
 
 
@@ -112,7 +113,7 @@ class LinearModel:
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns the given signals that are heights above a flat datum. Only a law for a study may measure them."""
+        """Returns the given signals that are heights above a flat datum. Only a law of a theoretical study may measure them."""
         return [name for name in self.heights if name in signals]
 
     @property
@@ -259,8 +260,8 @@ class LinearModel:
         Each actual force f follows f' = bandwidth (u - f), and replaces the requested force u in all signals.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s], or of each one, shape (m,), with 0 for an actuator without
-                lag; None for actuators without lag.
+            bandwidth: one corner frequency for all actuators [rad/s], or one for each actuator, shape (m,), with 0 for an
+                actuator without lag; None for actuators without lag.
         """
         if bandwidth is None:
             return self

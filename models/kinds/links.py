@@ -3,7 +3,8 @@
 Heights are above the ground. If a car has roll centres, the body rolls about the axis through the front and rear roll centres.
 At the centre of mass, this axis has the height
 
-    h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (axle distances l, their sum L).
+    h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (l: distances of the axles from the centre of mass, L:
+    their sum).
 
 The moment of inertia of the body about this axis is I_x + m_s b^2. At the roll angle phi, the centre of mass is displaced by b
 phi to the side, so the weight has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres on the
@@ -47,7 +48,7 @@ from models.kinds.kind import BodyLoad, Parameter, Parameters
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, WHEEL_LOAD
 
 AXLES, SIDES = ("front", "rear"), ("left", "right")
-# Allowed range of an axis height [m], which may lie below the ground; the same range is used for a share
+# Allowed range of an axis height [m], which may lie below the ground; the share of the load that links carry has the same range
 LOWEST, HIGHEST = -2.0, 3.0
 UNDER = {"brakes": ("anti_dive_front", "anti_lift_rear"), "power": ("anti_lift_front", "anti_squat_rear")}
 
@@ -98,7 +99,7 @@ def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
 
 
 def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads that links and wheel inertia add to the moment of a force on the body, by name [N, N m].
+    """Returns the loads [N, N m] that links and wheel inertia add to the moment of a force on the body, by name.
 
     Args:
         p: parameters of the vehicle.

@@ -38,9 +38,9 @@ class Rule:
 
     Attributes:
         of: names of the quantities. The rule applies at a place of the vehicle where all of them are known.
-        odd: function of the values: True if they are improbable.
+        odd: function of the values that returns True if they are improbable.
         words: text of the warning, with the names of the quantities in braces.
-        rank: a rule gives no warning if another rule with a lower rank, other than 0, already gives a warning.
+        rank: order of the rules. A rule gives no warning if a rule with a lower rank, other than 0, already gives one.
     """
 
     of: str
@@ -139,7 +139,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
         if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
             (low, low_name), (high, high_name) = corners[0], corners[-1]
             yield _known_quantities(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
-    # If several suspensions have the same parameters, only one of them is checked
+    # If several suspensions have the same parameters, only one suspension is checked
     firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()
     lines = [_of_elements(vehicle, deflection) for deflection in firsts]
     k, c = (

@@ -80,7 +80,7 @@ def per_axle(
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter for each axle or for each other given place. `options` contains further arguments of `Parameter`."""
+    """Returns a parameter for each given place, by default for each axle. `options` are further arguments of `Parameter`."""
     return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
 
@@ -282,7 +282,7 @@ def linear_model(
     d_dot = S @ q_dot - z_u_dot
     f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # suspension force without the actuator force u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
-    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # acceleration that the weight of a leaning body causes
+    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # acceleration of a leaning body due to its weight
 
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
     B = np.vstack([np.zeros((c + p, c)), lift, -push])
@@ -438,7 +438,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _tendon_name(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Replaces a strut by a fixed tendon with the same name, whose length is the deflection of a guided wheel. Returns it."""
+    """Replaces a strut by a fixed tendon whose length is the deflection of a guided wheel, and returns it."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

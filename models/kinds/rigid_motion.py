@@ -298,7 +298,7 @@ class RigidMotion:
         if self.body.roll_inertia is not None:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
-        # For a strut that is inclined only slightly, a difference of two lengths would lose digits, so another form is used.
+        # For a strut that is inclined only slightly, a difference of two lengths would lose digits, so another formula is used.
         upright = height > 0
         far = length + np.where(upright, height, -height)
         d = np.where(upright, (along**2 + across**2) / far, length - height) + rise

@@ -8,8 +8,8 @@ by
 
 and the force k_p s + c_p s' lifts the body at this point. If links define a roll or pitch axis of the body, the rotation about
 this axis also moves the seat horizontally. The seat then adds the inertia m_p b^2 and, per unit of the angle, the weight moment
-m_p g b to those of the body (`rigid_body.py`). The weight of the seat is part of every static load; `sprung_mass` is the mass
-of the body without the seat.
+m_p g b to the inertia and weight moment of the body (`rigid_body.py`). The weight of the seat is part of every static load;
+`sprung_mass` is the mass of the body without the seat.
 """
 
 from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ POINT_INERTIA = 1e-12  # rotational inertia of the seat in the MJCF [kg m2]; MuJ
 # Half the edge lengths of the drawn cushion and of the drawn backrest [m]
 CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)
 SPRING = (0.2, 0.36)  # heights at which the drawn spring ends, above the mounting point [m]
-# Parts of the body that are drawn transparent, so that they do not hide a seat
+# Parts of the body that are drawn transparent, so that they do not hide the seat
 GLASS = {"cabin": [0.55, 0.68, 0.78, 0.25], "roof": [0.16, 0.36, 0.62, 0.25]}
 # Values of MuJoCo's constants mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE and mjOBJ_JOINT, because vehicle types do not import MuJoCo
 BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3

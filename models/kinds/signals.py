@@ -85,7 +85,7 @@ def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:
     return tuple(signal.name for signal in signals)
 
 
-OWN = "own"  # unit of a controller state; only the control law defines its meaning
+OWN = "own"  # text that replaces the unit of a controller state, because only the control law defines the meaning of this state
 STATE_PREFIX = "controller_"  # prefix of the names of controller states; no vehicle signal has this prefix
 
 

@@ -111,7 +111,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
     """Checks that the results of a vehicle type's functions fit its names.
 
     Raises:
-        InputError: a result has the wrong type, or its names are not those of the vehicle type.
+        InputError: a result has the wrong type, or its names differ from the names of the vehicle type.
     """
     model, rest, angles = (of(parameters) for of in (kind.linear_model, kind.static_tyre_deflection, kind.angles))
     numbers = [("behind of a wheel", wheel.behind(parameters), NotNegative) for wheel in kind.wheels]
@@ -174,7 +174,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
     """Returns the vehicle type with functions whose results are checked, and which raise InputError if they fail.
 
-    `check_together` of the result checks the results.
+    The function `check_together` of the returned type checks the results of the other functions.
     """
 
     def guarded(name: str, function: Callable[..., Any], refuses: bool = False) -> Callable[..., Any]:

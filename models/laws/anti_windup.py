@@ -30,7 +30,8 @@ def anti_windup_gain(law: LinearLaw) -> Array:
         law: law as a computer executes it; see `LinearLaw.sampled`.
 
     Raises:
-        InputError: the rate is too small for the sample period, or a state that is too slow has almost no effect on the forces.
+        InputError: the rate is too small for the sample period, or a state that decays too slowly has almost no effect on the
+            forces.
     """
     k, m = law.C.shape[1], len(law.C)
     if law.anti_windup is None or not k:
@@ -55,7 +56,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
 
 
 def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
-    """Returns the gain L for which A - L C has the poles of A, but with poles outside a circle mirrored at the circle.
+    """Returns the gain L for which A - L C has the poles of A, except that poles outside a circle are mirrored at the circle.
 
     Poles are mirrored one after another, complex poles in pairs. Mirroring several close poles together would lose all digits.
     The weight `dear` includes the previous corrections, so the order of the poles does not matter.

@@ -1,7 +1,7 @@
 """Table of the options that can be combined in a controller's section, and of the commands that accept them.
 
-Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` contains a reason why they cannot. The
-messages about refused combinations and the table in the documentation are generated from this table.
+Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` contains a reason against the
+combination. The messages about refused combinations and the table in the documentation are generated from this table.
 """
 
 from collections.abc import Collection, Mapping
@@ -158,7 +158,7 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
 
     Raises:
         InputError: two parts cannot be combined. The message gives the reason and, for each of the two parts, the alternatives
-            that it can be combined with.
+            with which it can be combined.
     """
     for one, other in combinations(parts, 2):
         if why := refusal(one, other):
@@ -185,7 +185,7 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part as text, with a list of the alternatives to another part that can be combined with it.
+    """Returns a part as text, and the alternatives to another part with which the part can be combined.
 
     Args:
         part: the part.

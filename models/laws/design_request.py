@@ -38,7 +38,7 @@ class LawStructure:
         return {"structure": self.kind} if self.kind else {"order": self.order}
 
     def states(self, forces: int) -> int:
-        """Returns the largest number of states of a law with a number of forces; states of PI and PID laws are not counted."""
+        """Returns the largest number of states of a law for the given number of forces; 0 for PI and PID laws."""
         return self.order * (forces if self.rows is not None else 1)
 
 

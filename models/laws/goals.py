@@ -243,7 +243,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     Args:
         what: the key, for messages.
         measured: names of the measured signals.
-        corners: suffix of the signal names at each force's suspension, by force.
+        corners: for each force, the suffix of the signal names at its suspension.
 
     Raises:
         InputError: a signal belongs to no corner, or a corner has no signal.
@@ -302,7 +302,7 @@ class Goals(Section):
 
     @property
     def over(self) -> str:
-        """Value over a vehicle family that is minimised."""
+        """How the norms of a vehicle family are combined into the value that is minimised."""
         return self.minimise.over
 
     @property

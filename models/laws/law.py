@@ -12,7 +12,7 @@ Design = Callable[[str], T]  # type of a function that designs a linear controll
 
 
 class ControlLaw:
-    """Base class of all controllers. The defaults are those of a law without states, preview, additional delay and certificate.
+    """Base class of all controllers. The defaults are for a law without states, preview, additional delay and certificate.
 
     A controller also has the attributes `linear`, True if linear analysis applies, and `user_code`, True for a Python law.
     """
@@ -24,8 +24,8 @@ class ControlLaw:
     preview = None  # `RoadPreview` of a law whose force also depends on the road ahead
     code: Any = None  # the `ExportedCode` that computes the law's outputs in runs
     implemented = True  # False if the law ignores the sampling, delay and rate limit of the vehicle file
-    false_claims: tuple[str, ...] = ()  # descriptions of claims of the certificate that are not true
-    specifications = ()  # specifications that the law is designed for or evaluated with
+    false_claims: tuple[str, ...] = ()  # descriptions of the statements in the certificate that are not true
+    specifications = ()  # specifications for which the law is designed, or with which it is evaluated
 
     @property
     def law_key(self) -> DriverKey:
@@ -56,15 +56,15 @@ class ControlLaw:
         return 0
 
     def state_scale(self, period: float) -> float:
-        """Returns the factor from the states of a linear law in a run to the states of the law itself."""
+        """Returns the factor that converts the states of a linear law in a run to the states of the law itself."""
         return 1.0
 
 
 class LawSource:
     """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
-    A source also has the attributes `given`, its `LinearLaw`, and `request`, its `DesignRequest`. Each attribute is None if the
-    source is of another type.
+    A source also has two attributes: `given` is its `LinearLaw`, and `request` is its `DesignRequest`. Each attribute is None
+    if the source is of another type.
     """
 
     linear = True  # False if linear analysis does not apply to the law
@@ -85,7 +85,7 @@ class LawSource:
         """Returns the key that gives the path of the law's file relative to another folder; empty for a law without a file.
 
         Raises:
-            InputError: the file is not in that folder or in a folder below it, as vehicle files require.
+            InputError: the file is neither in that folder nor in a folder below it; vehicle files can refer only to such files.
         """
         return {}
 

@@ -99,7 +99,7 @@ class StructureSection(Goals):
 
         Args:
             measured: names of the measured signals.
-            corners: suffix of the signal names at each force's suspension, by force.
+            corners: for each force, the suffix of the signal names at its suspension.
 
         Raises:
             InputError: the structure does not fit the signals, or `pid` does not fit the structure.

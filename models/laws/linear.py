@@ -14,13 +14,15 @@ from models.common.errors import InputError
 from models.common.printed import entry, rough
 from models.laws.law import LawSource
 
-FEWER = "of at most"  # part of the remark about a law that has fewer states than the design allows
+FEWER = "of at most"  # these words mark the remark about a law that has fewer states than the design allows
 MATRICES = ("A", "B", "C", "D")
 ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # pattern of the key that sets a single number of a law
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # names of the matrices that `models.laws.preview` uses
 MOST_STATES = 200  # largest number of states of a control law; a typical law has some dozens
 LARGEST = 1e15  # largest magnitude of an entry of a law's matrices; with larger entries, rounding errors would dominate
-ROUNDING = 1e-7  # relative rounding error of the poles of a double integrator
+# A growth rate below this share of the state matrix's largest entry counts as a rounding error, as for the poles of a double
+# integrator
+ROUNDING = 1e-7
 # Smallest relative singular value of an algebraic loop through the measurements; below this value, no digit of the result is
 # reliable
 SINGULAR = 1e-12
@@ -119,7 +121,7 @@ class LinearLaw(LawSource):
 
     @property
     def acts(self) -> bool:
-        """True if the force is not 0 for all measurements."""
+        """False if the force is 0 for all measurements."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
     @property
@@ -165,7 +167,7 @@ class LinearLaw(LawSource):
         return replace(self, C=rows * self.C, D=rows * self.D)
 
     def only(self, forces: Array) -> "LinearLaw":
-        """Returns the law in which only selected forces are not zero.
+        """Returns the law with all forces set to 0, except selected forces.
 
         Together with `scaled`, this function opens the loop at actuators.
 
@@ -241,7 +243,7 @@ class LinearLaw(LawSource):
             period: sample period [s].
 
         Raises:
-            InputError: a state grows by more than `LARGEST` within a period, or the result has entries that exceed it.
+            InputError: a state grows by more than `LARGEST` within a period, or the result has entries that exceed `LARGEST`.
         """
         if not self.states or self._at(period):
             return replace(self, sample_period=period)

@@ -33,7 +33,7 @@ TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annota
 
 @dataclass(frozen=True)
 class PythonLaw(LawSource):
-    """A law in Python, or an FMU, as a vehicle file refers to it.
+    """A law in Python, or an FMU, in the form in which a vehicle file refers to it.
 
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
@@ -113,7 +113,7 @@ class PythonLaw(LawSource):
     def source(self) -> str:
         """Returns the text of the law's file without executing it.
 
-        For an FMU, it is Python code that steps the FMU, and that contains the checksum of the FMU.
+        For an FMU, the text is Python code that simulates the FMU step by step, and that contains the checksum of the FMU.
 
         Raises:
             InputError: the file does not exist, is too large, or is not text.
@@ -138,7 +138,7 @@ class PythonController(ControlLaw):
     Attributes:
         name: name in the vehicle file.
         measured: names of the q measured signals y.
-        law: the law as the vehicle file refers to it.
+        law: the law, in the form in which the vehicle file refers to it.
         source: text of the law's file, or of the function if Python knows its text.
         function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
@@ -293,5 +293,5 @@ class ProgramSection(Section):
 
 
 def samples_ahead(preview: float, period: float) -> int:
-    """Returns the number of samples within a preview time [s], including the present sample."""
+    """Returns how many samples a preview time [s] contains, including the present sample."""
     return int(preview / period * (1 + 1e-9)) + 1

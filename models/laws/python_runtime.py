@@ -36,7 +36,7 @@ SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time
 
 
 class Sample:
-    """Arguments of a law at a sample.
+    """Arguments with which a law is called at a sample.
 
     Attributes:
         y: measurements in the order of `measured`, shape (q,). `sample["sprung_velocity"]` returns a single measurement by its
@@ -80,7 +80,7 @@ class OwnLaw:
     def __init__(self, controller: PythonController, forces: int) -> None:
         """Executes the file of the law.
 
-        A function of the caller is reset if it has a method `reset`, and otherwise copied with its state.
+        A function of the caller is reset if it has a method `reset`; otherwise, the function is copied with its state.
 
         Args:
             controller: controller with the law.
@@ -132,7 +132,7 @@ class OwnLaw:
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result.
 
-        The check is included because methods of the result may also be user code.
+        This function also checks the result, because methods of the result may be user code, too.
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
@@ -192,7 +192,7 @@ class LawRuns:
     vectorised = False
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs with a number of forces. `add` adds the runs."""
+        """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
         self._controller, self._forces = controller, forces
         self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
 
@@ -246,7 +246,7 @@ class FileRuns:
     """`LawRuns` of a law in a file, which runs in a child process. If the process ends, all runs in it fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares runs with a number of forces. `add` adds the runs."""
+        """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
         self._what, self._name, self._left, self._count = describe_law(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()

@@ -20,7 +20,7 @@ from models.common.errors import InputError, list_names
 from models.common.schema import SI, Choice, Section, keys
 from models.laws.law import ControlLaw, Design, DriverKey, LawSource
 
-STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
+STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0, to avoid division by 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
@@ -38,7 +38,7 @@ class LawCoefficients:
     Attributes:
         c_min: smallest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force divided by present
             velocity.
-        c_max: largest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force over present
+        c_max: largest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force divided by present
             velocity.
         sky: coefficients of the dampers between body and sky [N s/m], shape (N, m).
         ground: coefficients of the dampers between wheel and ground [N s/m], shape (N, m).
@@ -80,7 +80,7 @@ def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
 
 
 def _over(of: LawCoefficients, force: Quantity, v: Quantity) -> Quantity:
-    """Returns the coefficient of a damper that gives a force [N] at a velocity, or at `still` if the velocity is 0."""
+    """Returns the coefficient at which a damper gives a force [N] at a velocity, or at `still` if the velocity is 0."""
     return -force / _choose(v == 0, of.still, v)
 
 
@@ -90,7 +90,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper between body and sky if the damper can give its sign, else the soft setting."""
+    """Continuous skyhook: gives the force of a damper to the sky if it can give a force of this sign, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -136,7 +136,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
     """Continuous skyhook of the body's modes: a damper to the sky for heave, pitch and roll each, shared among the corners."""
     damped = moved = 0.0
-    # Terms are added one by one, so that the result does not depend on the number of runs
+    # The terms are added in sequence, so that rounding errors do not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
         damped += to_sky * speed
         moved += share * speed
@@ -161,7 +161,7 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 @dataclass(frozen=True)
 class SemiActiveLaw(LawSource):
-    """Built-in semi-active law, as a vehicle file refers to it.
+    """Built-in semi-active law, in the form in which a vehicle file refers to it.
 
     Attributes:
         name: name of the law, a key of `LAWS`.
@@ -291,7 +291,7 @@ class SemiActiveSection(Section):
             given: keys of the section in the file.
             outputs: names of the output signals of the vehicle.
             inputs: names of the forces of the vehicle.
-            endings: suffix of the signal names at every suspension with a semi-active damper, by force.
+            endings: for each force of a semi-active damper, the suffix of the signal names at its suspension.
 
         Raises:
             InputError: a key belongs to another law, or the vehicle lacks a signal or damper that the law needs.

@@ -69,7 +69,7 @@ class Adjustable(SettablePart):
         return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the velocities at which the nominal setting leaves its linearisation."""
+        """Returns the velocities beyond which the nominal force deviates too much from its linearisation."""
         return () if self.curve is None else departures(self.curve, "velocity")
 
     def at_wheel(self, ratio: float) -> "Adjustable":
@@ -87,7 +87,7 @@ class Adjustable(SettablePart):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the semi-active damper of a suspension, before the motion ratio.
+        """Yields the semi-active damper of a suspension, before its motion ratio is applied.
 
         Raises:
             InputError: the vehicle type has no nominal damper at this suspension, the nominal coefficient is outside the
@@ -162,7 +162,7 @@ class Adjustable(SettablePart):
 
 
 def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
-    """Returns `Adjustable.nominal_curve`. A parallel characteristic adds only its deviation from its linearisation."""
+    """Returns `Adjustable.nominal_curve`, to which a parallel characteristic adds only its deviation from its linearisation."""
     parts = [(1.0, beside.x, beside.pieces)] if beside is not None else []
     if damper.pair is not None:
         share, pair = (nominal - damper.c_min) / (damper.c_max - damper.c_min), damper.pair

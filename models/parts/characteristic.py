@@ -64,7 +64,7 @@ class Characteristic(Part):
         return self.own.scaled(self.factor).at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the arguments below and above equilibrium at which the force leaves its linearisation."""
+        """Returns the arguments below and above equilibrium beyond which the force deviates too much from its linearisation."""
         return departures(self.curve, "velocity" if self.argument == "velocity" else "deflection")
 
     def at_wheel(self, ratio: float) -> Part:
@@ -80,6 +80,6 @@ class Characteristic(Part):
 
 
 def departures(curve: ForceCurve, of: Quantity) -> Sequence[Limit]:
-    """Returns the limits below and above equilibrium at which a characteristic leaves its linearisation."""
+    """Returns the limits below and above equilibrium beyond which a characteristic deviates too much from its linearisation."""
     sides = zip((-1.0, 1.0), curve.departures_at, strict=True)
     return [Limit(CURVE, of, sign, abs(far)) for sign, far in sides if abs(far) < np.inf]

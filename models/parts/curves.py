@@ -14,7 +14,7 @@ from models.common.errors import InputError, error_in
 from models.common.extensions import FEATURES
 from models.kinds.kind import VehicleKind, nothing
 
-ROUNDING = 1e-9  # rounding error relative to a load
+ROUNDING = 1e-9  # a force difference below this share of the load counts as a rounding error
 # There is a warning if a spring's force in equilibrium differs from the static load by more than this share of the load.
 STATIC_LOAD_TOLERANCE = 0.01
 

@@ -10,7 +10,7 @@ from models.characteristics.curve import Pieces
 from models.common.arrays import Array
 from models.parts.part import choose_runs, merge_parts
 
-STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0
+STILL = 1e-150  # this velocity [m/s] replaces a velocity of 0, to avoid division by 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class CoefficientRange:
         Args:
             speeds: extension rates of semi-active dampers [m/s], 0 for force actuators, shape (..., N, m).
             travels: deflections of all suspensions at the wheels [m], shape (..., N, s).
-            z: own states of all parts, shape (..., N, k).
+            z: internal states of all parts, shape (..., N, k).
         """
         return np.concatenate([self.at_rest - speeds, *self.of_elements(travels, z)], axis=-1)
 
@@ -78,7 +78,7 @@ class CoefficientRange:
         return _with(self._velocity(closing, which), rates)
 
     def _velocity(self, closing: Array, which: Array | slice) -> Array:
-        """Returns `effective_velocity`, but the closing velocity for elements."""
+        """Returns `effective_velocity` for dampers, and the closing velocity for elements."""
         closing = closing[..., : self.low.shape[1]]
         return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
@@ -183,7 +183,7 @@ class CoefficientRange:
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns values of the actuators, shape (..., m), with the columns of elements replaced by other values."""
+    """Returns the values of all actuators, shape (..., m), in which other values replace the columns of elements."""
     if not columns:
         return values
     values = np.array(values)
@@ -197,14 +197,15 @@ class SetColumn:
     """Elements of N vehicles at one suspension, whose voltages are set.
 
     Attributes:
-        column: number of the element's force among the inputs.
-        place: number of the suspension.
+        column: index of the element's force among the inputs.
+        place: index of the suspension.
         names: signals of the suspension's deflection and velocity at the wheel.
         states: columns of the element's states among the states of all parts.
-        own: names of the element's states.
-        start: column of the element's travel in `CoefficientRange.closing`, before the columns of its states.
+        own: names of the element's internal states.
+        start: index of the column in `CoefficientRange.closing` that contains the element's travel; the columns of its states
+            follow.
         parts: the elements at the wheel: a single element for any number of runs, or N elements.
-        element: the N elements combined into one part, before the motion ratio.
+        element: the N elements combined into one part, before the motion ratio is applied.
     """
 
     column: int

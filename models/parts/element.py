@@ -32,7 +32,7 @@ class Element:
     Attributes:
         name: name of the section.
         corners: names of the corners with the element; one empty name if the vehicle has a single suspension.
-        part: the part, before the motion ratio.
+        part: the part, before its motion ratio is applied.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Element:
 
     @property
     def straight(self) -> "Element":
-        """The linearised element; the same element if it is linear, or if it acts only on contact."""
+        """The linearised element; the unchanged element if it is linear, or if it acts only on contact."""
         part = self.part
         return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
@@ -65,13 +65,13 @@ class Element:
         }
 
     def sampled(self, values: Mapping[str, float]) -> "Element":
-        """Returns the element with other numbers, given by `NAME.key`; the same element if no number belongs to it."""
+        """Returns the element with other numbers, given by `NAME.key`; unchanged if none of the numbers belongs to it."""
         own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
         return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
 
 
 def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) -> tuple[Signal, ...]:
-    """Returns the signals of the elements' own states, ordered by suspension like the parts of a vehicle."""
+    """Returns the signals of the elements' internal states, ordered by suspension like the parts of a vehicle."""
     here = [(one, place) for place in suspensions for one in elements if place.corner in one.corners]
     return tuple(signal for one, place in here for signal in state_signals(one.part, one.name, place))
 

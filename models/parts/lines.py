@@ -1,4 +1,4 @@
-"""Linearisation of parts at equilibrium: keys and descriptions of characteristics, and own states in linear models."""
+"""Linearisation of parts at equilibrium: keys and descriptions of characteristics, and internal states in linear models."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -46,10 +46,10 @@ def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
 def with_own_states(
     model: LinearModel, parts: Sequence[SuspensionPart], rows: Array, speeds: Array, push: Array, shown: Array
 ) -> LinearModel:
-    """Returns a linear model of n states, extended by the linearised own states of e parts.
+    """Returns a linear model of n states, extended by the linearised internal states of e parts.
 
     Args:
-        model: linear model without the own states.
+        model: linear model without the internal states.
         parts: the parts, with their suspensions.
         rows: gains from the states to the deflections of the parts' suspensions, shape (e, n).
         speeds: gains from the states to the rates of the deflections, shape (e, n).

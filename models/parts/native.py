@@ -24,7 +24,7 @@ from models.common.errors import InputError
 
 # This force [N] is larger than any suspension force, but smaller than the limit at which MuJoCo reports an error
 LARGEST_FORCE = 1e9
-MOTOR = "part_"  # this part of a motor's name stands between the prefix and the name of the tendon
+MOTOR = "part_"  # this part of a motor's name is between the prefix and the name of the tendon
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Tendon:
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
         """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3).
 
-        The dead band of the spring is a range of lengths [m].
+        The dead band, a range of lengths [m], is the range in which the spring has no force.
         """
         spring = self.spec.add_tendon(name=f"{name}_{self.name}")
         spring.stiffness[:] = stiffness

@@ -1,8 +1,8 @@
 """A part of a suspension: a force between body and wheel, with all its properties that analysis and simulation need.
 
 The force F(d, v, z, u) of a part pulls the ends of its suspension together if it is positive. The arguments are the extension d
-of the suspension from equilibrium, its rate v (positive if the suspension extends), the part's own states z, and its inputs u.
-Linear analysis uses the following linearisation at equilibrium,
+of the suspension from equilibrium, its rate v (positive if the suspension extends), the part's internal states z, and its
+inputs u. Linear analysis uses the following linearisation at equilibrium,
 
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
@@ -44,9 +44,9 @@ CURVE, BUMP_STOP = "curve", "bump stop"  # linear analysis no longer applies aft
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Linearisation of a part with n own states about equilibrium.
+    """Linearisation of a part with n internal states about equilibrium.
 
-    The part pulls with k d + c v + b v' + C z + g u; its own states have linear rates, too.
+    The part pulls with k d + c v + b v' + C z + g u; the rates of its internal states are linear, too.
 
     Attributes:
         stiffness: k [N/m].
@@ -72,7 +72,7 @@ class Line:
 
     @property
     def sloped(self) -> bool:
-        """True if the part has a force while its input is 0."""
+        """True if the linearised force can differ from 0 while the input is 0."""
         return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
@@ -117,11 +117,11 @@ class Part(ABC):
     """Force along a suspension.
 
     A part is a frozen dataclass. The numbers of a part may be arrays of shape (N,), for N simultaneous runs (`Stack`).
-    Deflections, velocities and forces have any shape (...). Arrays of own states have an additional last axis.
+    Deflections, velocities and forces have any shape (...). Arrays of internal states have an additional last axis.
     """
 
-    # Signals of the part's own states, which are 0 in equilibrium; in a vehicle, their names also contain the element and the
-    # corner
+    # Signals of the part's internal states, which are 0 in equilibrium; in a vehicle, their names also contain the element and
+    # the corner
     states: ClassVar[tuple["Signal", ...]] = ()
     inputs: ClassVar[int] = 0
     # Smallest and largest value that a controller can give to the part's input; None if no controller sets the input
@@ -133,7 +133,8 @@ class Part(ABC):
     contact: ClassVar[bool] = False
     stores: ClassVar[bool] = False  # True for a part that stores energy and does not dissipate any
     argument: ClassVar[Quantity | None] = None  # argument of the force, if the force depends on one quantity only
-    fastest: ClassVar[float] = 0.0  # largest rate of the part's own states at 2 m/s [1/s], if this rate grows with velocity
+    # Largest rate of the part's internal states at 2 m/s [1/s], if this rate grows with velocity
+    fastest: ClassVar[float] = 0.0
     native: ClassVar[bool] = False  # True if the method `write` can represent the nonlinear force by MuJoCo's own elements
 
     @abstractmethod
@@ -143,12 +144,12 @@ class Part(ABC):
         Args:
             d: extension of the suspension from equilibrium [m], shape (...).
             v: rate of the extension [m/s], shape (...).
-            z: n own states of the part, shape (..., n).
+            z: n internal states of the part, shape (..., n).
             u: input, shape (...).
         """
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of the own states, shape (..., n). For the arguments, see `pull`."""
+        """Returns the rates of the internal states, shape (..., n). For the arguments, see `pull`."""
         return np.zeros((*np.shape(d), 0))
 
     def divisor(self, u: Array | float) -> Any:
@@ -179,20 +180,20 @@ class Part(ABC):
         slopes: Any = (np.imag(self.pull(d, v, np.zeros(n), u)) / STEP for d, v, u in along)
         if not n:
             return Line(*slopes, inertance=inertance)
-        rows = STEP * 1j * np.eye(n + 3)  # each row contains a complex step of one own state z, or of d, v or u
+        rows = STEP * 1j * np.eye(n + 3)  # each row contains a complex step of one internal state z, or of d, v or u
         pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
         rates = [np.imag(self.rate(row[n], row[n + 1], row[:n], row[n + 2])) / STEP for row in rows]
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the difference between force and linearisation, without inertance [N], shape (...).
+        """Returns the force minus its linearisation, without inertance [N], shape (...).
 
         For the arguments, see `pull`.
         """
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the difference between the rates of the own states and their linearisation, shape (..., n).
+        """Returns the difference between the rates of the internal states and their linearisation, shape (..., n).
 
         For the arguments, see `pull`.
         """
@@ -214,7 +215,7 @@ class Part(ABC):
 
     @property
     def acts(self) -> bool:
-        """False if the part adds nothing to its linearisation."""
+        """False if the force of the part never differs from its linearisation."""
         return self.is_nonlinear or bool(self.inputs)
 
     @property
@@ -275,7 +276,7 @@ class Part(ABC):
 
     @classmethod
     def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
-        """Yields the parts of a suspension that sections other than `[parts]` describe, before the motion ratio.
+        """Yields the parts of a suspension that sections other than `[parts]` describe, before their motion ratio is applied.
 
         Each part is paired with the parameter that contains its linearisation, or with an empty text.
         """
@@ -322,7 +323,7 @@ class SuspensionPart:
 
     @cached_property
     def states(self) -> "tuple[Signal, ...]":
-        """Signals of the part's own states."""
+        """Signals of the part's internal states."""
         return state_signals(self.part, self.element, self.place)
 
     @property
@@ -360,7 +361,7 @@ class SuspensionPart:
 
 
 def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signal, ...]":
-    """Returns the signals of the part's own states, for a part that is an element of a suspension."""
+    """Returns the signals of the part's internal states, for a part that is an element of a suspension."""
     signals = (
         replace(one, name=f"{element}_{one.name}", symbol=f"{one.symbol} {element}", meaning=f"{one.meaning}, {element}")
         for one in part.states
@@ -373,8 +374,8 @@ class SettablePart(Part):
     """Damper whose coefficient a valve sets. The input of the damper is the coefficient minus the nominal coefficient [N s/m].
 
     The control force that the damper replaces is defined relative to the force of the nominal damper. Numbers, forces and
-    velocities are those of the damper itself, before the motion ratio. Only the methods of `Part` use forces and velocities at
-    the wheel.
+    velocities are those of the damper itself, before the motion ratio is applied. Only the methods of `Part` use forces and
+    velocities at the wheel.
 
     Attributes:
         force: name of the control force that the damper replaces.
@@ -545,14 +546,14 @@ class Stack:
         return self._rows(lambda part, d, *_: part.inertance_at(d) - least * part.line.inertance, d, d, None, 0.0)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
-        """Returns the rates of the own states, minus the linearised rates unless `line` is set.
+        """Returns the rates of the internal states, minus the linearised rates unless `line` is set.
 
         Deflections and velocities have the shape (..., N, k), states the shape (..., N, k, n).
         """
         return self._rows(lambda part, *at: part.rate(*at) if self._line else part.rate_beyond(*at), d, v, z, u, z.shape)
 
     def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
-        """Evaluates a function of (part, d, v, z, u) for the rows of each group of parts, and returns all rows."""
+        """Evaluates a function of (part, d, v, z, u) for every group of parts, and returns the results of all parts."""
         if len(self._groups) == 1:
             return of(self._groups[0][0], d, v, z, u)
         total, at = np.empty(shape or np.shape(d)), (slice(None),) * (np.ndim(d) - 2)

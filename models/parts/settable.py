@@ -69,7 +69,7 @@ class ElementDamper(Damper):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SetElement(SettablePart):
-    """Element whose input is its voltage, before the motion ratio.
+    """Element whose input is its voltage, before the motion ratio is applied.
 
     Attributes:
         element: the element.
@@ -120,7 +120,7 @@ class SetElement(SettablePart):
         Args:
             d: extension of the suspension [m], shape (...).
             v: rate of the extension [m/s], shape (...).
-            z: own states, shape (..., n).
+            z: internal states, shape (..., n).
             u: voltages [V], relative to the voltage without a command.
             before: voltages to compare with [V], relative to the voltage without a command.
         """

@@ -31,7 +31,7 @@ class RoadChoice:
     """Chosen road, before speed, seed and vehicle are known.
 
     Attributes:
-        text: text of the choice.
+        text: text by which the road was chosen.
         road: the road at its default speed; for an OpenCRG file, its surface.
         loads: loads on the body, in addition to the road.
     """

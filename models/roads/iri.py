@@ -38,7 +38,8 @@ SPEED = 80 / 3.6  # speed of the golden car [m/s], the reference vehicle of the 
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15
 BASE = 0.25  # length of the moving average of the profile [m]
 SETTLING_DISTANCE = 100.0  # over this distance [m], the effect of the initial state decays to 1e-5
-FORGOTTEN = 1e-18  # a response is truncated where it has decayed to this share, which is below the rounding error
+# A response is truncated where it has decayed to this share of its first value, which is below the rounding error
+FORGOTTEN = 1e-18
 
 # The states of the golden car are z_s, z_s', z_u and z_u'. Derivatives are with respect to distance, not time. The input is the
 # slope of the profile.
@@ -153,7 +154,7 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
-    """Returns the transform of the response to a slope, the response to the start, and the size of the transform.
+    """Returns the Fourier transform of the response to a slope, the response to the start, and the size of the transform.
 
     The response to the start is truncated at `FORGOTTEN`. This response begins before the first sample. The result is cached,
     because a campaign needs it for every road.
@@ -165,7 +166,7 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
     return np.fft.rfft(np.real(powers[:-1] @ of_slopes), size), np.real(powers[1:] @ of_start), size
 
 
-TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of a vehicle with two tracks
+TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs that a vehicle with two tracks has
 STEP = 0.025  # distance between samples of the profile [m]: a tenth of the length of the moving average
 COARSEST = 0.3  # largest spacing of samples [m]; ASTM E1926 does not define the IRI for larger spacings
 # If the spacing varies by less than this share, the variation counts as a rounding error of distances or coordinates

@@ -271,7 +271,7 @@ class Iso8608(Section, Road):
 
 
 def long_enough(distance: float) -> float:
-    """Returns the length [m] of a road that does not repeat within a distance [m]."""
+    """Returns the length [m] that a road needs so that it does not repeat within the given distance [m]."""
     return LENGTH * 2 ** max(0, math.ceil(math.log2(distance / LENGTH))) if distance > 0 else LENGTH
 
 

@@ -12,7 +12,8 @@ from models.common.schema import SI
 from models.roads.road import Bump, Length, Obstacle, Road, ScaledRoad, Speed, Track
 from models.roads.sinusoids import Sine, SineSweep, Start
 
-AT_ONCE = 1e-9  # rounding error of the time at which a wheel meets a vertical edge [s]
+# A time that exceeds the time of a vertical edge by at most this rounding error [s] counts as the time of the edge
+AT_ONCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Step(Obstacle):
     response, the road velocity is an impulse at this edge. In MuJoCo, the height changes between two time steps.
 
     Raises:
-        InputError: a number is out of its range, or the edge is not 0 but shorter than the smallest length.
+        InputError: a number is out of its range, or the edge is not vertical (0) but shorter than the smallest allowed length.
     """
 
     kind: ClassVar[str] = "step"
@@ -199,7 +200,7 @@ class Flat(Obstacle):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Empty: because the road has no kinks."""
+        """Empty, because the road has no kinks."""
         return ()
 
 

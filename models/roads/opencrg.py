@@ -13,7 +13,7 @@ from models.common.files import reading
 from models.roads.profile import Profile, begun_at
 
 AT_ONCE = 2**20  # number of heights that are computed at once; PyOpenCRG needs several hundred bytes per height
-TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # number of characters of one number, for each format
+TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # number of characters that one number has in each format
 LINE = 80  # number of characters in a line that contains numbers
 NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 GIVE = "give an OpenCRG file"

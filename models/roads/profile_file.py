@@ -172,7 +172,7 @@ def choose_columns(
     Args:
         table: the table.
         headings: headings of all columns.
-        wanted: the requested columns, counted from 0; empty without a request.
+        wanted: the requested columns, counted from 0; empty if no columns are requested.
         stepped: True if the rows have a constant step, so that there is no column of distance.
 
     Raises:
@@ -230,7 +230,7 @@ def erd_text(text: str) -> tuple[str, str]:
 
 
 def rdf_text(text: str) -> str:
-    """Returns the table of an RDF file of the type `poly_line` with headings, and the number of each row's line in the file.
+    """Returns the table of an RDF file of the type `poly_line` with headings, and the line number of each row in the file.
 
     Raises:
         InputError: the road has another type, or the file has no table.
@@ -357,7 +357,7 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
 
 
 def _is_distance(column: Array, step: float) -> bool:
-    """Returns True if the values rise evenly, by about the step [m] in some unit, so that they are distances and not heights."""
+    """Returns True if the values rise evenly, by about the step [m] in some unit; they are then distances, not heights."""
     rises = np.diff(column)
     mean = float(rises.mean()) if len(rises) else 0.0
     low, high = LIKE_DISTANCE

@@ -33,8 +33,8 @@ class Rig(MeasuredRoad):
     Attributes:
         time: times of the points [s], ascending, shape (P,).
         heights: heights of the K posts [m], shape (P, K).
-        posts: names of the wheels on the K posts. A name is the road signal, the MJCF body of the road, or the suffix of one of
-            them.
+        posts: names of the wheels on the K posts. A name is the road signal, the MJCF body of the road, or the suffix of this
+            signal or body.
         source: name of the file.
 
     Raises:

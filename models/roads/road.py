@@ -43,7 +43,7 @@ class Road(ABC):
 
     @property
     def duration(self) -> float:
-        """Time from the start to the end of the road for one wheel [s]; infinite for a road without end."""
+        """Time that one wheel needs from the start to the end of the road [s]; infinite for a road without end."""
         return math.inf
 
     def track_of(self, wheel: Wheel) -> str:
@@ -370,19 +370,19 @@ class ScaledRoad(DerivedRoad):
         return tuple((time, self.factor * height) for time, height in self.road.jumps)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the multiplied height [m]."""
+        """Returns the height of the other road, multiplied by the factor [m]."""
         return self.factor * self.road.displacement(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the multiplied heights that MuJoCo holds over time steps [m]."""
+        """Returns the heights that MuJoCo holds over time steps, multiplied by the factor [m]."""
         return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the multiplied velocity [m/s]."""
+        """Returns the velocity of the other road, multiplied by the factor [m/s]."""
         return self.factor * self.road.velocity(t, side)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the description of the other road, and the factor."""
+        """Returns the description of the other road, extended by the factor."""
         return {**self.road.describe(), "factor": self.factor}
 
     def scaled(self, factor: float) -> "ScaledRoad":
@@ -614,7 +614,7 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns the heights under the wheels at a number of samples after the last one [m], shape (count, r)."""
+        """Returns the heights under the wheels at the given number of samples after the last sample [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 

@@ -13,8 +13,9 @@ from models.common.schema import SI, Choice, ListedValues, Section
 from models.roads.road import Obstacle, Road, Speed
 
 Start = Annotated[float, SI("s", "time at which the first wheel reaches it", 0.0, 1e4)]
-BLOCK = 4_000_000  # this number of sines is evaluated at once; a larger number would need more memory without being faster
-MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names of these numbers in a log
+# Number of sines that are evaluated together; with a larger number, the evaluation would need more memory, but no less time
+BLOCK = 4_000_000
+MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names that roads of this class can have in a log
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
 
     @property
     def errors(self) -> WeightedErrors | None:
-        """Uncertainties of measurements and forces with a frequency-dependent weight; None without these."""
+        """Uncertainties of measurements and forces with a frequency-dependent weight; None if there are none."""
         weights = {name: one for name, one in self.tolerance.items() if isinstance(one, Filter)}
         return WeightedErrors(weights) if weights else None
 

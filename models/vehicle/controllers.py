@@ -75,7 +75,7 @@ class ControllerEntry:
         certificate: certificate of a given law, as written by `roadproof synth --save`; None without a certificate.
         hardware: sensor noise, actuator lag and loads for which the controller is designed and certified.
         goals: goals for the design or evaluation of a gain; None for a design that minimises the norm.
-        errors: uncertainties of measurements and forces with a frequency-dependent weight; None without these.
+        errors: uncertainties of measurements and forces with a frequency-dependent weight; None if there are none.
         study: True for a theoretical study, in which the law measures heights above a flat datum.
         forced: True if the controller drives force actuators (`actuators = "force"`), even on a vehicle with semi-active
             dampers.
@@ -95,7 +95,7 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Signals that the controller refers to: the measured signals, and the signals in its goals."""
+        """Signals that the controller uses: the measured signals, and the signals in its goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
@@ -201,7 +201,8 @@ class GivenSection(SignalSection):
     `ControllerSection` has these and all other keys.
     """
 
-    order = design = preview = goals = errors = None  # keys and properties that only other types of control laws have
+    # Only other types of control laws have values for these keys and properties
+    order = design = preview = goals = errors = None
 
     gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain, allowed=ROWS)] = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
@@ -276,7 +277,7 @@ def read_controllers(
         kind: vehicle type.
         folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
         sampled: default of the key `sampled` in a controller's section.
-        dampers: suffix of the signal names at each semi-active damper, by force.
+        dampers: for each force of a semi-active damper, the suffix of the signal names at its suspension.
     """
     controllers: dict[str, ControllerEntry] = {}
     facts: dict[str, Any] = {

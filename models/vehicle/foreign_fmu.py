@@ -2,8 +2,8 @@
 
 A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
 and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
-`outputs` assign signals to them. At each sample, the FMU does a step to the next sample. The outputs of this step are the
-forces that are held until the next sample.
+`outputs` assign signals to them. At each sample, the FMU advances by one step, to the time of the next sample. The outputs of
+this step are the forces that are held until the next sample.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample
     Args:
         file: path of the FMU.
         sha256: checksum that the file must have.
-        names: signal for each variable of the FMU with another name.
+        names: signal for each variable of the FMU whose name is not a signal name.
     """
 
     def step(sample: Sample, state: "ForeignFmu | None") -> Any:

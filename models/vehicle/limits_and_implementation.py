@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from models.parts.stops.stop import BumpAndRebound
 
 ORDERS = ("force", "command")  # allowed values of the field `Limits.limit`
-# An actuator with a largest force gets at most this request [N]; larger requests are reduced, because MuJoCo does not accept
+# An actuator with a force limit receives at most this request [N]; larger requests are reduced, because MuJoCo does not accept
 # them
 MOST_ASKED = 1e9
 
@@ -161,7 +161,7 @@ def _text(value: Any) -> str:
 
 
 def samples(count: float) -> str:
-    """Returns a number of samples as text, in the singular if the printed number is 1."""
+    """Returns the given number of samples as text, in the singular if the printed number is 1."""
     number = f"{count:g}"
     return f"{number} sample{'s' * (number != '1')}"
 
@@ -254,7 +254,7 @@ class Implementation(Section):
 
     @property
     def hold_intervals(self) -> tuple[tuple[float, int], ...]:
-        """Intervals of constant force within a sample period: the length as a share of the period, and the delay [samples]."""
+        """Intervals of constant force within a sample period: length of each as a share of the period, and delay [samples]."""
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -368,7 +368,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """Returns the intervals of constant force within a sample period: the length in timesteps, and the delay [samples]."""
+    """Returns the intervals of constant force within a sample period: length of each in timesteps, and delay [samples]."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 

@@ -302,7 +302,7 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
-    """Returns the MJCF of the model that `build_model` compiles, with exact numbers, for the logs."""
+    """Returns the MJCF of the model that `build_model` compiles, with exact numbers, as it is written to logs."""
     spec = build_spec(vehicle, timestep)
     spec.compiler.savecompiled = False  # MuJoCo would round the compiled values to six digits
     return spec.to_xml()

@@ -63,7 +63,7 @@ def named_file(text: str) -> tuple[str, str] | None:
 
 
 LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
-PLUS = " + "  # this separates the loads in a description
+PLUS = " + "  # this text separates the loads in a description
 LOAD_SYNTAX = (
     f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
     "payload:mass=100:x=-1.2, or a .csv file"
@@ -72,7 +72,7 @@ LOAD_SEPARATOR = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
 FILE_SEPARATOR = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
 PART_SEPARATOR = re.compile(
     rf"{LOAD_SEPARATOR}|{FILE_SEPARATOR}", re.IGNORECASE
-)  # this separates a road from its loads, and one load from the next
+)  # this text separates a road from its loads, and each load from the next load
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
@@ -103,12 +103,12 @@ def run_without(names: Iterable[str], part: str) -> list[str]:
 
 
 def variant(part: str) -> str:
-    """Returns the suffix that marks a controller's run without a part in tables; empty for the implemented loop."""
+    """Returns the suffix by which tables mark a controller's run without a part; empty for the implemented loop."""
     return f", no {part}" if part else ""
 
 
 def logged_variant(part: str) -> str:
-    """Returns the suffix that marks a controller's run without a part in logs; empty for the implemented loop."""
+    """Returns the suffix by which logs mark a controller's run without a part; empty for the implemented loop."""
     return f"-no_{part}" if part else ""
 
 
@@ -119,6 +119,6 @@ def logged_part(name: str, controller: str) -> str:
 
 
 def without_copies(names: Iterable[str]) -> list[str]:
-    """Returns the names of controllers, but omits copies with a published gain, such as `I_printed` of `I`."""
+    """Returns the names of controllers, but omits copies with a published gain, such as the copy `I_printed` of `I`."""
     every = list(names)
     return [name for name in every if name.removesuffix(COPY) not in every or not name.endswith(COPY)]

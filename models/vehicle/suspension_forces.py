@@ -22,8 +22,8 @@ class SuspensionForces:
 
     Attributes:
         acts: True for each suspension that has a force in addition to the linear model, shape (s,).
-        states: number k of the parts' own states, whose order is that of `VehicleKind.of_parts`.
-        moves: True if the rate of an own state differs from its rate in the linear model.
+        states: number k of the parts' internal states, whose order is that of `VehicleKind.of_parts`.
+        moves: True if the rate of an internal state differs from its rate in the linear model.
         inertial: True if a part has an inertance in addition to the linear model.
     """
 
@@ -35,8 +35,8 @@ class SuspensionForces:
             by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
             contacts: False to omit parts that have no effect within the linear range, such as bump stops.
             whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain these forces, but the
-                equations of motion of the vehicle types do not. The rates of own states are then complete. Otherwise, they are
-                deviations from the linear model.
+                equations of motion of the vehicle types do not. The rates of internal states are then complete. Otherwise, they
+                are deviations from the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -63,7 +63,7 @@ class SuspensionForces:
 
     @property
     def moves(self) -> bool:
-        """True if the rate of an own state of a part differs from its rate in the linear model."""
+        """True if the rate of an internal state of a part differs from its rate in the linear model."""
         return any(len(kept) for _, _, kept, _ in self._stacks)
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
@@ -74,7 +74,7 @@ class SuspensionForces:
             v: rates of the deflections [m/s], shape (..., N, s).
             inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal coefficients [N s/m],
                 shape (..., N, m).
-            z: own states of the parts, shape (..., N, k).
+            z: internal states of the parts, shape (..., N, k).
         """
         pulls = None
         for columns, _, parts, at in self._at(d, v, inputs, z):
@@ -94,7 +94,7 @@ class SuspensionForces:
         return total
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the rates of the parts' own states, shape (..., N, k). For the arguments, see `__call__`."""
+        """Returns the rates of the parts' internal states, shape (..., N, k). For the arguments, see `__call__`."""
         rates = np.zeros(z.shape)
         for _, kept, parts, at in self._at(d, v, inputs, z) if self.states else ():
             if len(kept):
@@ -102,7 +102,7 @@ class SuspensionForces:
         return rates
 
     def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
-        """Yields parts that are evaluated together, with their suspensions, own states and arguments of the force."""
+        """Yields parts that are evaluated together, with their suspensions, internal states and arguments of the force."""
         for columns, own, kept, parts in self._stacks:
             states = None
             if z is not None and len(kept):
@@ -113,8 +113,8 @@ class SuspensionForces:
 def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool, int]]:
     """Returns a row for each part of a vehicle.
 
-    A row contains the number of the suspension, the part, True if its linearised force is included, and the number of its
-    first own state.
+    A row contains the index of the suspension, the part, True if the linearised force of the part is included, and the index of
+    the part's first internal state.
     """
     forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 
 def kinds(folder: Path = HERE) -> list[str]:
-    """Returns the vehicle types in a folder, that is, each name with equations (`.py`) and an MJCF (`.xml`), sorted.
+    """Returns the vehicle types in a folder, sorted: every name for which an equation file (`.py`) and an MJCF (`.xml`) exist.
 
     Args:
         folder: the folder; by default, the folder of the built-in vehicle types.
@@ -158,8 +158,8 @@ class Vehicle(ShownResult):
         road_filter: filter from the disturbance w to the road velocity under every wheel; None if w is the road velocity.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
-        dampers: semi-active dampers that replace actuators, by force.
-        sums: weighted sums of signals in z (34), after the signals.
+        dampers: semi-active dampers that replace actuators, by name of the control force.
+        sums: weighted sums of signals in z (34); their rows follow the rows of single signals.
         elements: force elements of `[parts]`.
         force_limits: limits of the force actuators, for controllers with `actuators = "force"` on a vehicle with semi-active
             dampers; None for vehicles without semi-active dampers.
@@ -324,7 +324,7 @@ class Vehicle(ShownResult):
         from models.kinds.at_wheels import force_effects
 
         rows, (push, shown) = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
-        # This force has no direct effect on the parts' own states
+        # This force has no direct effect on the parts' internal states
         speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))
         model = FEATURES.load("lines of parts").with_own_states(
             model.with_lines(rows, push, shown, stiffness, damping), more, rows, speeds, push, shown
@@ -354,7 +354,7 @@ class Vehicle(ShownResult):
 
     @property
     def sensed_signals(self) -> tuple[str, ...]:
-        """Output signals of the linear model that have a MuJoCo sensor: all signals except the own states of parts."""
+        """Output signals of the linear model that have a MuJoCo sensor: all signals except the internal states of parts."""
         outputs = self.linear_model.outputs
         return outputs[: len(outputs) - len(self.kind.of_parts)]
 
@@ -549,7 +549,7 @@ class Vehicle(ShownResult):
 
     @property
     def unladen(self) -> "Vehicle":
-        """The vehicle of its file without `[payload]`; the same vehicle if the file has no payload."""
+        """The vehicle that its file describes without `[payload]`; the same vehicle if the file has no payload."""
         toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
@@ -558,7 +558,7 @@ class Vehicle(ShownResult):
         return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
 
     def text_for(self, path: Path) -> str:
-        """Returns the text of a vehicle file at a path that describes this vehicle.
+        """Returns the text of a vehicle file that describes this vehicle and has the given path.
 
         Paths of Python laws in the text are relative to the folder of this file.
 
@@ -655,7 +655,7 @@ class Vehicle(ShownResult):
         """Returns the entry of a controller; linear analysis must apply to this controller.
 
         Raises:
-            InputError: the file has no controller of that name, or its law is in Python or semi-active.
+            InputError: the file has no controller of that name, or its law is a Python law or a semi-active law.
         """
         if name not in self.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {list_names(self.controller_names)}")

@@ -13,7 +13,7 @@ TIME = "time [s]"
 
 
 def lvm_text(text: str) -> str:
-    """Returns the numbers of a LabVIEW file under headings with units, and the number of each row's line in the file.
+    """Returns the numbers of a LabVIEW file under headings with units, and the line number of each row in the file.
 
     Comments in rows are omitted.
 
@@ -26,7 +26,7 @@ def lvm_text(text: str) -> str:
         raise InputError(f"the LabVIEW file has no line {END}; export the whole file")
     about = {words[0]: words[1] for line in lines[: ends[0]] if len(words := line.replace(",", "\t", 1).split("\t")) > 1}
     mark = {"comma": ",", "semicolon": ";"}.get(about.get("Separator", "").strip().lower(), "\t")
-    if len(ends) == 1:  # the file has a header, but its segment of data has no header
+    if len(ends) == 1:  # the file has a header, but its only segment of data has no header
         return "\n".join(["", *[""] * ends[0], *lines[ends[0] + 1 :]])
     rows = [[cell.strip() for cell in line.split(mark)] for line in lines[ends[0] + 1 : ends[1]]]
     segment = {name: cells for name, *cells in rows}

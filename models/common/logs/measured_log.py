@@ -36,7 +36,8 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of omitted samples, whose time equals the previous time because times in the file are rounded.
+        rounded: number of samples that are omitted, because the times in the file are rounded and theirs equal the previous
+            time.
     """
 
     source: str
@@ -151,7 +152,7 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
     """Returns the column of each signal, by the name of the signal.
 
     Raises:
-        InputError: no column belongs to a signal, several belong to the same signal, or a given heading does not exist.
+        InputError: no column belongs to a signal, several columns belong to the same signal, or a given heading does not exist.
     """
     used = dict[str, Heading]()
     for name, unit in units.items():

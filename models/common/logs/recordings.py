@@ -25,7 +25,7 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
     """Returns the headings with units, and the recorded values, of all channels in an MDF4 file.
 
     Raises:
-        InputError: the package for these files is not installed, or the file is not one, or has no numbers.
+        InputError: the package for MDF4 files is not installed, or the file is not an MDF4 file or has no numbers.
     """
     try:
         from asammdf import MDF  # pyright: ignore[reportMissingImports] - an extra

@@ -44,12 +44,12 @@ Bandwidth = Annotated[float, SI("rad/s", "corner frequency of a first-order lag 
 
 
 class Hysteretic(Part):
-    """Part with Bouc-Wen hysteresis, whose state z is its last own state.
+    """Part with Bouc-Wen hysteresis; the state z is the last of its internal states.
 
     Attributes:
-        friction: True for a friction, which linear analysis omits.
+        friction: True if the hysteretic force is friction, which linear analysis omits.
         by_voltage: names of the parameters that depend on the voltage; the first parameter is the force per unit of z.
-        voltage: constant voltage, or voltage when the controller gives no command [V].
+        voltage: constant voltage, or voltage while the controller gives no command [V].
         largest_voltage: largest voltage that a controller sets [V]; None for a constant voltage.
         bandwidth: corner frequency of the lag of the voltage [rad/s]; None for a voltage without lag.
     """
@@ -111,7 +111,7 @@ class Hysteretic(Part):
         """Returns the stored energy without the energy of the hysteresis [J], shape (...)."""
 
     def after_yield(self, v: Array, u: Array | float = 0.0) -> Array:
-        """Returns the force at constant velocities [m/s], without the force of springs [N], shape (...)."""
+        """Returns the force in steady motion at constant velocities [m/s], without the force of springs [N], shape (...)."""
         z = np.zeros((*np.shape(v), len(self.states)))
         z[..., -1] = np.sign(v) * self.z_max
         return self.pull(np.zeros(np.shape(v)), v, z, u)
@@ -149,7 +149,7 @@ class Hysteretic(Part):
     def storing(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
         """Returns the rate of the stored energy at constant voltages [W], shape (...).
 
-        The rest of the power `pull` times v is dissipated.
+        The rest of the power, which is `pull` times v, is dissipated.
         """
         A, b, g, n = self.law
         rates, own = self.rate(d, v, z, u), z[..., -1]
@@ -160,7 +160,8 @@ class Hysteretic(Part):
     def line(self) -> Line:
         """See `Part.line`.
 
-        The linearisation includes the mode with the eigenvalue -`DECAY`. For a friction, it omits the hysteretic force.
+        The linearisation includes the mode with the eigenvalue -`DECAY`. If the hysteretic force is friction, the linearisation
+        omits it.
         """
         line, n = super().line, len(self.states)
         assert line.of_states is not None

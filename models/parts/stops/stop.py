@@ -10,7 +10,7 @@ compression of the suspension, and the force is 0 up to the stop. The rebound st
 has any.
 
 The name of a section in `[limits]` is the name of a corner, or the common beginning of several names. For example, `rear` means
-rear_left and rear_right. A key that is missing in a section is taken from the section for more corners. For example,
+rear_left and rear_right. A key that is missing in a section is taken from a section that applies to more corners. For example,
 `[limits.rear]` may define a stroke for the rear axle, and use the common stiffness.
 """
 
@@ -74,7 +74,8 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
 
     Raises:
-        InputError: the stop touches in equilibrium, touches at another travel than the stroke, or has a force that pulls.
+        InputError: the stop touches in equilibrium, makes contact at a travel that differs from the stroke, or has a force that
+            pulls.
     """
     u, force = np.array(table.compression), np.array(table.force)
     if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):

@@ -44,7 +44,7 @@ class History(Load):
 
     @property
     def text(self) -> str:
-        """Text with the name of the file and all numbers, exact, as rows of a CSV file that are separated by `;`."""
+        """Text with the name of the file and all exact numbers. The rows of the CSV file are separated by `;`."""
         heading = ",".join(["time [s]", *(f"{name} [{'N' if name == 'heave' else 'N m'}]" for name in self.columns)])
         rows = zip(self.time.tolist(), *(column.tolist() for column in self.columns.values()), strict=True)
         return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])

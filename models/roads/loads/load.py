@@ -134,7 +134,7 @@ class RampedLoad(Section, Load):
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the horizontal force behind this load, for the suspension links.
+        """Returns the horizontal force that causes this load, for the suspension links.
 
         Returns:
             Name of the body load, force on the body [N], and acceleration of the wheels [m/s2], as `VehicleKind.carried` takes

@@ -32,7 +32,7 @@ class RoadWithLoads(DerivedRoad):
 
     @property
     def loaded(self) -> bool:
-        """True: because loads act on the body."""
+        """True, because loads act on the body."""
         return True
 
     @property
