@@ -51,10 +51,12 @@ class ComparedNumber:
     def verdict(self) -> str:
         """Verdict of the comparison.
 
-        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the source's sample times rounds
-            to all published digits, and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the
-            given reason.
-        `WRONG`: none of these conditions holds.
+        - `REPRODUCED`: the exact value rounds to all published digits.
+        - `ON_ITS_GRID`: the value at the source's sample times rounds to all published digits, and no reason for a difference is
+          given.
+        - `DIFFERS`: the entry gives a reason for the difference, and the difference is within the limit that belongs to this
+          reason.
+        - `WRONG`: none of these conditions holds.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)
