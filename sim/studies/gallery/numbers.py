@@ -27,7 +27,7 @@ OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types 
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
-ON_AXIS = 1e-12  # the real or imaginary part of a pole counts as 0 if it is smaller than this share of the pole's magnitude
+ON_AXIS = 1e-12  # the real or imaginary part of a pole counts as 0 if it is a smaller share of the pole's magnitude than this
 REAL = 1e-6  # a zero of a transfer function counts as imaginary if its real part is smaller than this share of its magnitude
 
 

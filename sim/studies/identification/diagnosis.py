@@ -139,7 +139,7 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields for each possible cause a function that describes its size, and the change of all residuals per unit of this size."""
+    """Yields for each possible cause a function that describes its size, and the change of all residuals per unit of size."""
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]

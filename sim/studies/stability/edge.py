@@ -23,7 +23,7 @@ from sim.drive.drive import drive
 from sim.studies.stability.simulated_loop import LoopCase, SimulatedLoop, simulated_loop
 from synth.plant.state_space import StateSpace
 
-WIDTH = 2e-3  # a search ends if the interval between stable and unstable amounts has this relative width
+WIDTH = 2e-3  # a search ends when the relative width of the interval between stable and unstable amounts is at most this
 # amounts (such as gain factors or delays) to try, relative to the expected limit
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0
 CHANGE = 0.1  # a run may end after a mode has changed by this relative amount

@@ -73,7 +73,7 @@ class GainMargin:
     ) -> "GainMargin":
         """Prepares the searches for a margin at the given timestep and at smaller steps, without running them.
 
-        The smaller steps are chosen such that the extrapolation from the last two steps gives the margin of the continuous loop.
+        The smaller steps are chosen such that extrapolating the last two steps gives the margin of the continuous loop.
 
         Args:
             own: predicted margin of the continuous loop.

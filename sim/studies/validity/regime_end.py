@@ -1,4 +1,4 @@
-"""Bump height at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
+"""Bump height at which the linear regime ends, predicted by one linear response, and enclosed by two MuJoCo runs.
 
 The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
 bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below this

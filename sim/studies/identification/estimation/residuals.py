@@ -1,7 +1,8 @@
 """Residuals of all experiments, predicted minus measured signals divided by the noise, and derivatives of the residuals.
 
-The vector x contains all unknowns: free parameters, delays of sensors [s], and the starting state and offsets of each experiment.
-The unknown of a parameter is the logarithm of its ratio to the initial value, or the ratio itself if the parameter may be zero.
+The vector x contains all unknowns: free parameters, delays of sensors [s], and the starting state and offsets of each
+experiment. The unknown that represents a parameter is the logarithm of its ratio to the initial value, or the ratio itself if
+the parameter may be zero.
 """
 
 import math

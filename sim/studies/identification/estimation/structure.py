@@ -54,7 +54,7 @@ def information(R: Array, p: int) -> tuple[Array, Array]:
     """Returns the information on the first p unknowns if all others are also unknown, and how the others compensate for them.
 
     Args:
-        R: derivatives of all residuals by the u unknowns, or the factor R of their QR decomposition, shape (k, u).
+        R: derivatives of all residuals with respect to the u unknowns, or the factor R of their QR decomposition, shape (k, u).
 
     Returns:
         R, where R'R is the information, shape (p, p), and C, shape (u - p, p). The columns of the others times C are the part of
@@ -69,9 +69,9 @@ def structure_of(R: Array, free: Sequence[str]) -> Structure:
     """Returns the parameters and combinations that the signals do not determine.
 
     Args:
-        R: derivatives of all residuals by the unknowns at the initial values, or the factor R of the QR decomposition of these
-            derivatives. The first columns are those of the free parameters. At the initial values, they are also the
-            derivatives with respect to the logarithms, even if a parameter may be zero.
+        R: derivatives of all residuals with respect to the unknowns at the initial values, or the factor R of the QR
+            decomposition of these derivatives. The first columns are those of the free parameters. At the initial values, they
+            are also the derivatives with respect to the logarithms, even if a parameter may be zero.
         free: names of the free parameters.
     """
     R, _ = information(R, len(free))
