@@ -78,7 +78,7 @@ def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]
 
 
 def lower_bound(task: Task) -> float | str:
-    """Returns a lower bound on the expected ride [m/s2] of all controllers with the same sensors, or a text why there is none.
+    """Returns a lower bound on the expected ride [m/s2] of all controllers with the same sensors, or a text if no bound exists.
 
     The force weight is reduced until the ride changes by less than `ENOUGH`. Twice the last change is then subtracted from the
     ride. With several ride points, the bound is on their root mean square, which is at most the value at the worst point. Limits
