@@ -1,7 +1,7 @@
 """Interface of a study. A study defines a computation and the output of its result.
 
-A study becomes a command or a part of the report by a row in `models.common.extensions`. Help pages must appear without delay.
-The module of a study therefore imports other modules inside its methods. For a study in a module `study`, texts and options are
+A row in `models.common.extensions` makes a study a command or a part of the report. Help pages must appear without delay. The
+module of a study therefore imports other modules inside its methods. For a study in a module `study`, texts and options are
 instead a base class in a module `command` next to it, such as `MarginsCommand` for `MarginsStudy`.
 """
 
@@ -145,7 +145,7 @@ class Study(Generic[R]):
         raise NotImplementedError
 
     def check_page(self, scope: "Subject") -> None:
-        """Checks before the design that the report can contain the section of this study; raises InputError if not."""
+        """Checks before the design that the report can contain the section of this study; otherwise raises InputError."""
 
     def requests(self, scope: "Subject") -> Mapping[str, Any]:
         """Returns the requests of the report to this study, by subject; empty if there are none.

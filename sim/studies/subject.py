@@ -120,7 +120,7 @@ class Subject:
 
     @property
     def noise_qualifier(self) -> str:
-        """Text that excludes noise and quantisation, such as ", without its noise"; empty without noise and quantisation."""
+        """Text that names what runs omit, such as ", without its noise"; empty if the vehicle has no noise and quantisation."""
         noise = self.vehicle.implementation.noise_text
         return f", without its {noise}" if noise else ""
 

@@ -27,7 +27,7 @@ examples:
     takes = "several"
     usual = ("passive", "state", "I", "II")
     seconds = 5.0
-    # Names of the arguments LINES, EXTREMES and OWN in `sim.studies.frequency.sweep`
+    # Names of the stages, equal to the constants LINES, EXTREMES and OWN of `sim.studies.frequency.sweep`
     stages = ("frequency responses", "norms", "laws in Python")
 
     def add_options(self, parser: Parser) -> None:

@@ -1,4 +1,4 @@
-"""Describing function of a loop with a law in Python: its response to one sinusoid at a time, measured in MuJoCo.
+"""Describing function of a loop with a law in Python: the loop's response to one sinusoid at a time, measured in MuJoCo.
 
 The law may be nonlinear. A chirp would therefore mix the responses at different frequencies, and linear analysis cannot predict
 the responses. For each output, the result contains the fundamental, which is the component at the frequency of the road. The
@@ -37,10 +37,11 @@ class DescribingFunction:
         diverged: time at which each run diverged [s], shape (F,); infinite if it did not. A run that diverged is not measured.
         law_diverged: True for each run that diverged only because the states of the law overflowed, shape (F,).
         measured: complex amplitude of the fundamental per road velocity under the first wheel, shape (F, p).
-        outside: share of the energy of an output outside the fundamental, shape (F, p); NaN if the output does not move.
+        outside: share of each output's energy that is not in the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
         drift: largest relative change of a fundamental between consecutive periods of the lowest frequency.
-        without: text with the noise and quantisation of the vehicle file that these runs omit; empty if they omit nothing.
+        without: text that names the noise and quantisation which the vehicle file contains but these runs omit; empty if the
+            runs omit nothing.
         ended: names of the limits that were reached in any of the runs and so ended the linear regime.
     """
 
@@ -73,8 +74,8 @@ def describing_function(
 ) -> DescribingFunction:
     """Measures the describing function of a controller, with one run for each sinusoidal road.
 
-    Each run lasts three periods of the lowest frequency. The first period is for settling. Arguments and errors are those of
-    `sim.studies.frequency.identification.measure_responses`. In addition, the law may raise an error.
+    Each run lasts three periods of the lowest frequency. During the first period, transients decay. Arguments and errors are
+    those of `sim.studies.frequency.identification.measure_responses`. In addition, the law may raise an error.
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)

@@ -35,8 +35,9 @@ from sim.studies.frequency.sinusoids import ALIASING_LIMIT, HIGHEST, PeriodicRoa
 from synth.controller.controller import Controller
 
 STROKE = 3e-3  # m, amplitude with which the test plate moves
-LOWEST, GRID = 0.3, 600  # lowest frequency [Hz], below which the wheel follows the test plate, and number of frequencies
-WINDOW = 4.0  # s, duration of the whole periods to which sinusoids are fitted
+# lowest frequency to evaluate [Hz], below which the wheel follows the test plate; number of frequencies to evaluate
+LOWEST, GRID = 0.3, 600
+WINDOW = 4.0  # s, approximate duration of the whole periods at the end of a run to which sinusoids are fitted
 # Largest relative effect of the body's rotation on a tyre deflection; a height of 3 mm under one wheel of a car causes only
 # 1e-5
 TURNING_SHARE = 1e-3
@@ -68,7 +69,7 @@ class MinimumLoad:
 
     @property
     def end(self) -> str:
-        """Limits that ended the linear regime, and `curve` if the prediction uses a linearisation; empty if there are none."""
+        """Names of the limits that ended the linear regime, and `curve` if the prediction uses a linearisation; else empty."""
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
@@ -191,7 +192,7 @@ def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float,
 
 
 def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float]) -> MinimumLoad:
-    """Returns the minimum load of a wheel, from the end of its run.
+    """Returns the minimum load of a wheel, measured at the end of its MuJoCo run.
 
     Args:
         run: MuJoCo run on the plate at a frequency near `omega`.

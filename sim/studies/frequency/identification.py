@@ -69,7 +69,7 @@ def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
     If a force is held over several steps, the result contains the signals after the jumps and the signals before the jumps.
     """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
-    several = steps_per_sample(vehicle.implementation, period) > 1  # between its jumps, z is a continuous function of the steps
+    several = steps_per_sample(vehicle.implementation, period) > 1  # between jumps, z changes continuously from step to step
     return [signals, _before_leaps(vehicle, response, signals, periodic)] if several else [signals]
 
 
@@ -126,7 +126,7 @@ def _filter_signal(one: Filter, values: Array, period: float) -> Array:
 
 
 Controllers = Annotated[Sequence[Controller], AT_LEAST_ONE]
-LINES = 60  # number of frequencies of the chirp, before equal ones are merged; see `chirp_lines`
+LINES = 60  # number of frequencies of the chirp, before equal frequencies are merged; see `chirp_lines`
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle in equilibrium, without noise and quantisation, for which no frequency response exists."""
+    """Returns the vehicle in equilibrium. Noise and quantisation are omitted, because they have no frequency response."""
     return replace(vehicle.starting(), implementation=vehicle.implementation.without_noise)
 
 

@@ -171,7 +171,7 @@ def describe(
 
 
 def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Statement]:
-    """Yields statements about the claims: one statement for all controllers whose claims hold, and one for each failure."""
+    """Yields statements about the agreement with linear analysis: one for all controllers that agree, and one per failure."""
     of = {one.controller.name: one for one in sweeps}
     failed = {name: failures(one) for name, one in of.items() if not one.ended}
     holding: dict[str, list[Lines]] = {}
@@ -196,7 +196,7 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
 
 
 def _largest(one: Sweep | None) -> str:
-    """Returns a sentence about the gains of a sweep whose claims hold; empty if there was no sweep."""
+    """Returns a sentence about the gains of a sweep that passes all checks; empty if there was no sweep."""
     if one is None:
         return ""
     if not one.is_bounded:
@@ -211,7 +211,7 @@ def _largest(one: Sweep | None) -> str:
 
 
 def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep: float) -> Iterator[str]:
-    """Yields the notes that are always printed: the measurement of the responses, and the references of the comparison."""
+    """Yields the notes that are always printed: how the responses were measured, and with which references they are compared."""
     how, limits = vehicle.implementation, Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     lag, noise = limits.phrases(()), how.noise_text
     without = f", without {noise}, which {'have' if ' and ' in noise else 'has'} no frequency response" if noise else ""

@@ -38,7 +38,8 @@ LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6
 # s, longest time to wait until free motion has decayed; slower free motion, such as that of integrators, is fitted and
 # subtracted
 PATIENCE = 10.0
-TOLD_APART = 5.0  # s, length of the end of a run. Over this length, a fit separates slow free motion from the lines
+# s, smallest length of the evaluated end of a run; over this length, a fit separates slow free motion from the lines
+TOLD_APART = 5.0
 ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in a single batch would take gigabytes
 # Smallest number of samples in the whole periods; it keeps the frequency within 0.03 % of the requested one
 FINEST = 2000

@@ -1,4 +1,4 @@
-"""Results of a sweep for linear controllers, the check of the claims, and the JSON object."""
+"""Results of a sweep for linear controllers, their comparison with linear analysis, and the JSON object."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,8 @@ from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Differences that are allowed in addition to the known error of RK4:
-TOLERANCE = 1e-4  # relative difference of a response due to body rotations; on roads of 0.1 mm, they cause only 3e-7
+# allowed relative difference of a response due to body rotations; on roads of 0.1 mm, rotations cause only 3e-7
+TOLERANCE = 1e-4
 # Height of the lower road relative to the original road, and smallest height [m]. Body rotations cause smaller differences on a
 # lower road.
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6
@@ -40,12 +41,13 @@ class Sweep:
 
     lines: Lines
     extremes: Extremes
-    sampled: SampledNorm | None  # exact norm of the implemented loop; None if there is no [implementation], or with preview
+    sampled: SampledNorm | None  # exact norm of the implemented loop; None without [implementation] and for preview
     loads: tuple[MinimumLoad, ...]  # smallest load of each tyre in the EUSAMA test
     # text that names the noise and quantisation which the runs omit although the vehicle file has them; empty if the runs omit
     # nothing
     without: str
-    # Response over a road with 1/10 or 1/100 of the height; measured if a nonlinearity may have caused the difference
+    # Response over a road with 1/10 or 1/100 of the height; measured if a nonlinearity may have caused the difference from
+    # linear analysis
     small: Lines | None = None
 
     @property
@@ -135,7 +137,7 @@ def _off(lines: Lines) -> tuple[float, float, str, bool]:
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
-    """Returns a text for each failed claim of a sweep. For a nonlinear law, the only failure is that nothing was measured."""
+    """Returns a text for each check that a sweep fails. For a nonlinear law, the only check is that something was measured."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
     code = one.controller.code
@@ -145,7 +147,10 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 
 
 def _failures(one: Sweep, rounds: bool) -> list[str]:
-    """Returns a text for each failed claim of a linear law. `rounds` is True for exported code in fixed-point arithmetic."""
+    """Returns a text for each check that the sweep of a linear law fails.
+
+    `rounds` is True for exported code in fixed-point arithmetic.
+    """
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
     # The lower the road, the smaller the effect of rotations, so the response over the lower road determines the result.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
@@ -189,7 +194,7 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
 
 
 def holds(one: Sweep | DescribingFunction) -> bool:
-    """Returns True if all claims hold, or a run with a linear law left the linear regime. Nonlinear laws need a measured run."""
+    """Returns True if a result passes all checks of `failures`, or if a run with a linear law left the linear regime."""
     return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
 
 

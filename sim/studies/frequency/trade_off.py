@@ -27,7 +27,7 @@ from synth.vehicle.trade_off.report import describe
 
 SLOW = np.geomspace(1e-3, 1.0, 400)  # rad/s, frequencies at which a run is tried if the norm is reached at frequency 0
 TURN = 0.005  # rad, largest change of the sinusoid's phase in one timestep
-NEXT = 1e-3  # largest relative distance between the gain and the norm, if the norm is reached at frequency 0
+NEXT = 1e-3  # largest relative gap between the gain and the norm, if the norm is reached at frequency 0
 TITLE = "Trade-off between objectives"
 
 

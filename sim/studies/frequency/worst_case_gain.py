@@ -41,8 +41,8 @@ from sim.studies.frequency.sinusoids import (
 from synth.controller.controller import Controller
 
 DURATION = 20.0  # s, duration of all runs except the run over the worst sinusoid, whose duration depends on the settling time
-# Largest relative distance between the gain and its peak, and largest number of refinements with which the gain approaches the
-# peak.
+# Largest allowed relative gap between the gain at the simulated frequency and the peak gain, and largest number of refinements
+# that bring the frequency closer to the peak.
 BESIDE, DOUBLINGS = 3e-4, 6
 
 
@@ -151,7 +151,7 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns numbers of periods and samples, like `whole_periods`, with a frequency close enough to a narrow peak."""
+    """Returns the numbers of periods and samples as `whole_periods` does, but with a frequency close enough to a narrow peak."""
     # The number of controller samples in the whole periods must also be an integer
     steps = steps_per_sample(vehicle.implementation, timestep)
     finest = math.ceil(FINEST / steps)

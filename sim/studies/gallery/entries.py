@@ -18,11 +18,11 @@ FOLDER = kind.HERE / "gallery"
 PAPER = "paper"
 CAR = "car.toml"  # name of an entry's vehicle file if the entry gives no other
 PAPER_BUMP = Bump()  # bump of the reference paper, which is the default road
-SHORT = 1e-3  # largest relative error of the reference paper's numbers, whose solver stopped before the optimum
+SHORT = 1e-3  # largest relative error of the numbers in the reference paper; its solver stopped before the optimum
 
 
-# Published sources that the gallery considers. Each entry lists its sources; each source has numbers, or a reason why it has
-# none.
+# Published sources that the gallery considers. Each entry lists its sources. Each source has published numbers, or a reason why
+# it has no usable numbers.
 SOURCES = (
     "MathWorks, H-infinity",
     "MathWorks, robust",

@@ -27,7 +27,7 @@ OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # types 
 OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
 OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 REPRODUCED, ON_ITS_GRID, DIFFERS, WRONG = "reproduced", "reproduced on its grid", "differs", "NOT REPRODUCED"
-ON_AXIS = 1e-12  # the real or imaginary part of a pole counts as 0 if it is smaller than this share of the pole's magnitude
+ON_AXIS = 1e-12  # the real or imaginary part of a pole counts as 0 if it is a smaller share of the pole's magnitude than this
 REAL = 1e-6  # a zero of a transfer function counts as imaginary if its real part is smaller than this share of its magnitude
 
 
@@ -51,10 +51,12 @@ class ComparedNumber:
     def verdict(self) -> str:
         """Verdict of the comparison.
 
-        `REPRODUCED`: the exact value rounds to all published digits. `ON_ITS_GRID`: the value at the source's sample times rounds
-            to all published digits, and no reason for a difference is given. `DIFFERS`: the difference is within the limit of the
-            given reason.
-        `WRONG`: none of these conditions holds.
+        - `REPRODUCED`: the exact value rounds to all published digits.
+        - `ON_ITS_GRID`: the value at the source's sample times rounds to all published digits, and no reason for a difference is
+          given.
+        - `DIFFERS`: the entry gives a reason for the difference, and the difference is within the limit that belongs to this
+          reason.
+        - `WRONG`: none of these conditions holds.
         """
         one, off = self.printed, abs(self.exact - self.printed.value)
         half = 0.5 * 10.0**-one.digits * (1 + 1e-9)

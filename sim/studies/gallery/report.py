@@ -68,7 +68,7 @@ def _numbers(count: int) -> str:
 
 
 def sources(entries: Sequence[Entry]) -> tuple[list[str], list[str]]:
-    """Returns two lists: sources with numbers, and sources whose numbers cannot be expressed in a vehicle file."""
+    """Returns two lists: sources with published numbers, and sources whose model no vehicle file can express."""
     with_numbers = {name for entry in entries for name in entry.sources}
     without = {lack.source for entry in entries for lack in entry.missing}
     return [one for one in SOURCES if one in with_numbers], [one for one in SOURCES if one in without - with_numbers]

@@ -4,10 +4,10 @@ A cause changes the predicted signals in a known direction g. The part of g that
 it. A least-squares fit of the rest to the residuals gives the size of the cause. The share of a cause is the part of the
 residuals' sum of squares that it explains. This share is the score (Lagrange multiplier) statistic of one more parameter,
 divided by the number of residuals. The cause with the largest statistic is taken first. The other causes are then tested again
-on what it leaves.
+on the residuals that this cause does not explain.
 
 Friction builds up over a displacement (Dahl model). Several displacements are tried and the best one is used, because a short
-one alone does not find friction that a small motion fails to overcome.
+displacement alone does not find friction that a small motion fails to overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -35,14 +35,14 @@ FACTORS: Mapping[float, str] = {
     39.37007874015748: "in inches",
     100.0: "in hundredths of its unit, such as cm",
 }
-NEAR = 0.2  # one of the `FACTORS` is named if the relative distance from it is smaller than this
+NEAR = 0.2  # a factor is reported as one of the `FACTORS` if its relative distance from that factor is smaller than this
 ALIKE = 0.8  # correlation above which a column counts as the signal multiplied by a factor
-EXPLAINED = 0.03  # a cause is reported if it explains a larger share of the residuals' squares
+EXPLAINED = 0.03  # a cause is reported if it explains a larger share of the residuals' sum of squares than this
 SURE = 5.0  # a cause is reported if its size is more than this many standard deviations
 LAGS = 25  # largest delay to try, in samples
 MOST_CAUSES = 3
-# smallest share of a cause's effect that the unknowns cannot also produce; if the share is smaller, the size of the cause is
-# unknown
+# The unknowns can also produce a part of a cause's effect. If the rest is a smaller share of the effect than this, the size of
+# the cause cannot be determined.
 LEFT = 0.01
 MOST_SAMPLES = 50_000  # largest number of samples of an experiment that are used to search for causes
 SHARP = 0.9  # a pole of the residuals' model with a larger magnitude is a resonance
@@ -139,7 +139,7 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields each possible cause: a function from its size to a text, and the change of all residuals per unit of size."""
+    """Yields for each possible cause a function that describes its size, and the change of all residuals per unit of size."""
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]
@@ -215,7 +215,7 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
     """Returns the signals caused by 1 N of friction in a suspension, shape (T, q), for each displacement of `SETS_IN`."""
     prediction = of.problem.predictions[i]
     one, vehicle = prediction.experiment, prediction.vehicle(of.values)
-    if one.part:  # if the experiment tests a part on a dyno, its friction is already in the part
+    if one.part:  # on a dyno, the model of the part already includes its friction
         return [np.zeros_like(of.predicted[i]) for _ in SETS_IN]
     model, deflection = vehicle.linear_model, vehicle.kind.deflection_of(force)
     travel = prediction.signals([deflection], of.values, of.residuals.start(of.x, i))[:, 0]
@@ -234,7 +234,7 @@ def _friction(of: Estimate, i: int, force: str) -> list[Array]:
 
 
 def dahl_friction(travel: Array, lengths: Array) -> Array:
-    """Returns the friction w relative to its largest value, shape (T, m): w' = (v - |v| w) / length, v the travel's rate.
+    """Returns the friction w relative to its largest value, shape (T, m): w' = (v - |v| w) / length, with travel rate v.
 
     Args:
         travel: suspension travel at the samples, shape (T,).
@@ -278,7 +278,7 @@ def resonances(of: Estimate) -> list[str]:
 
 
 def airborne(of: Estimate) -> list[tuple[int, Array]]:
-    """Returns the experiments in which a wheel leaves the road: number, and True for each sample in the air."""
+    """Returns the index of each experiment in which a wheel leaves the ground, and True for each of its samples in the air."""
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
         if one.experiment.hubs or one.experiment.part:

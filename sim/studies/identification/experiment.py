@@ -1,4 +1,4 @@
-"""Experiments: a stretch of a measured log at equidistant times, with the inputs of the vehicle and the sensor signals.
+"""Experiments. Each is a stretch of a measured log at equidistant times, with the inputs of the vehicle and the sensor signals.
 
 On a dyno, one part of the vehicle is moved alone. The extension of the part is given, and the force is measured.
 """
@@ -61,7 +61,7 @@ class Experiment:
         forces: control forces [N], shape (T, m).
         channels: measured signals.
         added: additions to parameters of the vehicle file, such as a payload, by name [SI].
-        from_rest: True if the vehicle starts in equilibrium on the first height; False if the starting state is estimated.
+        from_rest: True if the vehicle starts in equilibrium on the first road height; False if the starting state is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
         forces_held: True if each force is held until the next sample, as by a computer; False if forces are interpolated
             linearly.

@@ -30,14 +30,16 @@ from sim.studies.identification.spectra.spectral_estimate import estimate_spectr
 if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
 
-LOWEST = 1e-6  # if a number's smallest allowed value is larger than this, the search keeps the number above it
+LOWEST = 1e-6  # if the smallest allowed value of a number exceeds this, the search never goes below that value
 UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # units of the parameters that are estimated by default
 SMALL_START = 0.02  # initial value of a damping that is 0 in the file, relative to critical damping
-# if the standard deviation of a logarithm is larger, the confidence interval is computed from the profile likelihood
+# if the standard deviation of a parameter's logarithm is larger than this, the confidence interval is computed from the profile
+# likelihood
 SKEWED = 0.2
 AFTER = 0.5  # s; samples within this time after a landing are not used, because the tyre is not linear there
-NAMED = 0.5  # if the reported causes explain a larger share of the residuals' squares, resonances are not searched for
-ANOTHER = 0.1  # two solutions count as different if a logarithm differs by more
+# if the reported causes explain a larger share of the residuals' sum of squares than this, resonances are not searched for
+NAMED = 0.5
+ANOTHER = 0.1  # two solutions count as different if the logarithm of a parameter differs by more than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ class Identification:
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other values. If a table replaces a parameter, the table is scaled to the new value.
+    """Returns a vehicle with other parameter values. If a table replaces a parameter, the table is scaled to the new value.
 
     Values of a random road are ignored.
     """
@@ -247,7 +249,10 @@ def _identify_spectra(
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
-    """Returns the problem without the times in the air. Each stretch after a time in the air has its own starting state."""
+    """Returns the problem without samples at which a wheel is in the air.
+
+    Each stretch after a landing has its own starting state.
+    """
     experiments, remarks, lifted = list[Experiment](), list[str](), dict(air)
     for i, one in enumerate(problem.experiments):
         if i not in lifted:

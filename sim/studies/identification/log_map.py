@@ -166,7 +166,7 @@ def _known(name: str, table: Any, vehicle: Vehicle, units: Mapping[str, str]) ->
 
 
 def corner_weights(vehicle: Vehicle) -> dict[str, float]:
-    """Returns the static load of each tyre [N]; the names are `corner_weight` and the suffix of the corner."""
+    """Returns the static load of each tyre [N]; each name is `corner_weight` followed by the suffix of the corner."""
     model, p = vehicle.kind, vehicle.parameters
     compressions, loads = model.static_tyre_deflection(p), dict[str, float]()
     for tyre, compression in compressions.items():

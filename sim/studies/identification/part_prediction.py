@@ -1,4 +1,4 @@
-"""Force of a part under a measured motion, as on a dyno, and the derivatives of the force by the part's numbers.
+"""Force of a part under a measured motion, as on a dyno, with derivatives with respect to the part's numbers.
 
 The extension d is a cubic spline through its samples, and v is the rate of d. The internal states z of the part satisfy z' = f(d,
 v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
@@ -6,7 +6,7 @@ v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
     z[k+1] - z[k] = h/2 (f[k] + f[k+1])
 
 on fine steps h is solved for all steps simultaneously by Newton's method. Each equation contains two consecutive steps only, so
-the matrix is banded. The same matrix gives the derivatives of z by the part's numbers and by z[0].
+the matrix is banded. The same matrix gives the derivatives of z with respect to the part's numbers and to z[0].
 """
 
 import math
@@ -44,7 +44,7 @@ class PartPrediction(LogPrediction):
         return part_of(vehicle, self.experiment.part)
 
     def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Returns the names of the part's own states."""
+        """Returns the names of the part's internal states."""
         return tuple(one.name for one in self.part(self.vehicle(values)).states)
 
     @cached_property
@@ -90,7 +90,7 @@ class PartPrediction(LogPrediction):
         return self._sampled(columns, p, fine, delays)
 
     def _sampled(self, columns: Sequence[Array], p: int, fine: int, delays: Sequence[float]) -> PredictedSignals:
-        """Returns the signals at the sample times, with sensor delays. Columns: force, derivatives by p numbers and n states."""
+        """Returns the delayed force at the sample times, followed by its derivatives with respect to p numbers and n states."""
         time = self.experiment.time
         at = self.experiment.start + self.experiment.step / fine * np.arange(len(columns[0]))
         rate = np.gradient(columns[0], self.experiment.step / fine)

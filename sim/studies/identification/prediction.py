@@ -1,6 +1,6 @@
-"""Signals of a vehicle over a measured road, and the derivatives of the signals by the vehicle's parameters.
+"""Signals of a vehicle over a measured road, and the signals' derivatives with respect to the parameters.
 
-A vehicle with straight springs and dampers has
+A vehicle with linear springs and dampers has
 
     x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
 
@@ -40,9 +40,10 @@ class PredictedSignals:
 
     Attributes:
         values: predicted values, shape (T, q); NaN before the first sample that a delayed sensor can measure.
-        by_parameter: derivatives by p parameters, per SI unit, shape (p, T, q).
-        by_start: derivatives by the n components of the starting state, shape (n, T, q); n = 0 if this state is known.
-        by_delay: derivative of each channel by the delay of its sensor, shape (T, q).
+        by_parameter: derivatives with respect to p parameters, per SI unit, shape (p, T, q).
+        by_start: derivatives with respect to the n components of the starting state, shape (n, T, q); n = 0 if this state is
+            known.
+        by_delay: derivative of each channel with respect to the delay of its sensor, shape (T, q).
     """
 
     values: Array
@@ -96,7 +97,8 @@ class LogPrediction:
         wheels = self.experiment.road.shape[1]
         if self.experiment.forces_held:
             rates[:, wheels:] = 0.0
-        if self.experiment.hubs:  # accelerations are smooth, so each piece of the straight lines gets the mean value of a cubic
+        # accelerations are smooth, so each straight line is shifted to the mean of a cubic through the samples
+        if self.experiment.hubs:
             whole = padded(held[:, :wheels])
             held[:, :wheels] += (whole[1:-2] + whole[2:-1] - whole[:-3] - whole[3:]) / 24
         if self.experiment.road_held:
@@ -121,7 +123,7 @@ class LogPrediction:
 
         Args:
             values: values of all parameters [SI].
-            free: the p parameters by which the signals are differentiated: typical size, by name.
+            free: typical sizes, by name, of the p parameters with respect to which the signals are differentiated.
             start: state at the start, shape (n,); None for equilibrium.
             delays: delay of each channel [s].
             derivatives: False if derivatives are not needed; they are then empty or zero.
@@ -256,7 +258,7 @@ def midpoints(values: Array) -> Array:
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns the parameters twice: with one of them larger by a step, and with it smaller by a step but not below zero."""
+    """Returns two sets of parameters: one parameter is increased by a step, or decreased by a step but not below zero."""
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 
 

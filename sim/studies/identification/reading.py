@@ -24,8 +24,8 @@ SHORTEST = 8.0  # s, shortest stretch of a log of a random road
 # if this many consecutive values are equal although the sensor's values otherwise change, the sensor counts as failed
 FROZEN = 12
 CLIPPED = 3  # if this many consecutive samples equal a signal's largest or smallest value, the signal counts as clipped
-JITTER = 0.02  # if times deviate from a constant spacing by a larger share of a step, they are not equidistant
-COARSE = 0.5  # smallest share of the road's motion that must have frequencies below half the Nyquist frequency
+JITTER = 0.02  # times count as not equidistant if they deviate from a constant spacing by a larger share of a step than this
+COARSE = 0.5  # a remark is printed if a smaller share of the road's motion is below half the Nyquist frequency
 MOST_PHASE = 1.0  # rad, largest phase error that wrong times may cause at the typical frequency of the road
 DEEP = 1.0  # m; a larger motion in a log cannot be right
 
@@ -316,7 +316,7 @@ def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
 
 
 def runs(true: Array) -> list[tuple[int, int]]:
-    """Returns the first index and the last index + 1 of each run of True."""
+    """Returns the first index and the last index + 1 of each run of consecutive True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 

@@ -31,7 +31,7 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """True if the test does not reject that the residuals are white."""
+        """True if the test does not reject the hypothesis that the residuals are white."""
         return self.probability >= LEAST
 
 

@@ -40,7 +40,7 @@ FORCES, ENOUGH = np.arange(-3.0, -15.0, -1.5), 5e-3
 
 
 def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]) -> float:
-    """Returns the smallest rms of z for white noise w that any law can reach, if it measures C_y x + v in each period.
+    """Returns the smallest rms of z that any law can reach for white noise w, if the law measures C_y x + v in each period.
 
     Args:
         plant: continuous plant with n states, m inputs, q measurements.
@@ -78,7 +78,7 @@ def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]
 
 
 def lower_bound(task: Task) -> float | str:
-    """Returns a lower bound on the expected ride [m/s2] of all controllers with the same sensors, or why there is no bound.
+    """Returns a lower bound on the expected ride [m/s2] of all controllers with the same sensors, or a text if no bound exists.
 
     The force weight is reduced until the ride changes by less than `ENOUGH`. Twice the last change is then subtracted from the
     ride. With several ride points, the bound is on their root mean square, which is at most the value at the worst point. Limits

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from sim.studies.recommend.result import Recommendation
 
 QUICK = 0.1  # share of the usual number of candidates that --quick evaluates
-LONGEST_RUN = 16.0  # s, longest time for which a random road does not repeat itself
+LONGEST_RUN = 16.0  # s, duration for which a random road is built; it does not repeat itself within this time
 
 
 class RecommendStudy(Study["Recommendation"]):
-    """Ranked controllers for a vehicle on a road."""
+    """Study that ranks controllers for a vehicle on a road."""
 
     description = "Recommend a controller for a vehicle: search candidates of every kind, drive them in MuJoCo, and rank them."
     epilog = """

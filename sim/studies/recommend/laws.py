@@ -5,9 +5,9 @@ measured accelerations a with a corner frequency w_c:
 
     xi' = a - w_c xi,    u = -c S J G^+ (velocities, xi) - m_v S J G^+ a.
 
-J gives the velocities above the suspensions, and G the measured ones, both from the velocities of the body. G^+ is the
-pseudo-inverse of G. S contains the static load of each suspension divided by gravity. c is the damping rate, and m_v a virtual
-mass. With travel feedback, the law adds c_d times the filtered derivative of the travel d, and k d.
+J maps the velocities of the body to the velocities above the suspensions, and G maps them to the measured velocities. G^+ is
+the pseudo-inverse of G. S contains the static load of each suspension divided by gravity. c is the damping rate, and m_v a
+virtual mass. With travel feedback, the law adds c_d times the filtered derivative of the travel d, and k d.
 """
 
 import math

@@ -32,7 +32,8 @@ from synth.controller.loop_of import loop_of
 from synth.controller.stability_margins import bilinear, gain_crossings
 from synth.plant.loop import Loop
 
-# factors between which the limits of stability are searched; 1 is halfway between two of them, so its neighbours are found
+# gain factors between which stability limits are searched for; 1 is midway between two of them, so that limits close to 1 are
+# found
 GAINS = np.geomspace(1 / MOST_GAIN, MOST_GAIN, 16)
 EXCESS = 4.0  # penalty for exceeding a limit by a factor e, relative to the goal's value for the passive vehicle
 LONGEST = 5.0  # s, longest transient that is awaited before the measurement
@@ -43,7 +44,7 @@ BROKEN = Usage(math.inf, math.inf, 1.0, 0.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Rating:
-    """Metrics of a candidate, and how much of each limit it uses.
+    """Metrics of a candidate, and how close the candidate comes to each limit.
 
     Attributes:
         values: metrics in the comparison of controllers, by key [SI]; None if the vehicle lacks the metric or a run was aborted.
@@ -91,7 +92,7 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
 
 
 def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
-    """Returns the gain margin and the disk margin at all forces; each is the smaller one of implemented and ideal loop."""
+    """Returns the gain margin and the disk margin at all forces; each is the smaller value of implemented and ideal loop."""
     if not controller.acts:
         return MOST_GAIN, 2.0
     gain, disk = _margins(loop_of(task.line, controller.feedback, task.coarse_step))
@@ -139,7 +140,7 @@ def drive_candidates(
 
 
 def _rating(task: Task, one: Contender, responses: Sequence[Response], first: int) -> Rating:
-    """Returns the rating of a candidate from its runs, of which the samples from `first` on are measured."""
+    """Returns the rating of a candidate from its runs, which are measured from the sample `first` on."""
     flat = REGIME_ENDS.index(FLAT)
     ends = [min(each.diverged, end_times(one.vehicle, each)[flat]) for each in responses] or [0.0]
     if math.isfinite(min(ends)):

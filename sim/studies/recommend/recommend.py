@@ -27,11 +27,12 @@ from sim.studies.recommend.within import TAIL, Within, read_within
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept in reserve for random roads that are not simulated
-# Number of times that expected limits are corrected, used share of a limit below which they are, safety factor, and smallest
-# factor of a correction. Each correction but the last is followed by a search
+# Number of corrections of a family's limits; used share of the limits below which they are corrected; safety factor of a
+# correction; smallest factor of a correction. After each correction except the last, the search is repeated.
 ROUNDS, SLACK, TIGHTER, LEAST = 3, 0.75, 1.05, 0.3
 HOPE = 1.1  # a search is not repeated for an active candidate whose value exceeds the best one by this factor
-CALIBRATED = ("stroke", "force", "lift")  # limits of which MuJoCo uses another share than linear analysis expects
+# limits whose used share in MuJoCo differs from the share that linear analysis expects
+CALIBRATED = ("stroke", "force", "lift")
 # share of the total time after which the first searches end, and after which the first simulations begin
 OF_SEARCH, OF_DRIVES = 0.45, 0.6
 Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
@@ -155,7 +156,7 @@ class _Work:
             self.expected[one] = rating
 
     def _own(self) -> None:
-        """Adds the controllers of the file."""
+        """Adds the controllers of the vehicle file."""
         vehicle = self.task.vehicle
         for name in without_copies(vehicle.controllers):
             self._progress(f"{name} of the file")

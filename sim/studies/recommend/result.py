@@ -24,7 +24,7 @@ from synth.command.save import controller_section
 from synth.controller.disk_margin import DiskMargin
 
 MOST_ROWS = 14  # largest number of table rows, so that the printed answer has at most 24 lines
-NEAR = 0.85  # a limit counts as binding if a larger share of it is used
+NEAR = 0.85  # a limit counts as binding if a larger share of it is used than this
 SECTION = "best"  # name of the controller in a saved vehicle file
 WORDS = {"ride": "ride", "holding": "road holding", "travel": "travel"}
 SHARE, CHANGED = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[float]("change", float, "+.0f", 100.0, unit="%")
@@ -53,7 +53,7 @@ class RankedContender:
 
     @property
     def binds(self) -> str:
-        """The limit that is used most; "-" if it is not nearly reached, and with "!" if it is exceeded."""
+        """The limit with the largest used share; "-" if no limit is nearly reached, and with "!" if a limit is exceeded."""
         name = max(self.used, key=self.used.__getitem__, default="")
         return "-" if not name or self.used[name] < NEAR else f"{name}{'!' * (not self.keeps)}"
 
@@ -106,7 +106,7 @@ class Recommendation(ShownResult):
 
     @property
     def saved(self) -> RankedContender | None:
-        """The best of the better controllers that a vehicle file can contain, so without preview and without a law in Python."""
+        """The best controller of `better` that a vehicle file can contain; it has no preview and no law in Python."""
         each = ((row, row.candidate.controller) for row in self.better)
         return next((row for row, one in each if (one.preview is None if one.linear is True else not one.user_code)), None)
 

@@ -1,8 +1,9 @@
 """Families of candidates, and the Nelder-Mead search for their parameters, based on the expected metrics over the road.
 
 The number of evaluations of a family is fixed, so the search finds the same candidates on any machine. MuJoCo simulates bump
-stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. The best candidate may
-therefore use more of a limit in MuJoCo than expected. The search is then repeated with this ratio as a factor on the limit.
+stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. In MuJoCo, the best
+candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated, and the ratio of used
+to expected share becomes a factor on the limit.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -26,7 +26,7 @@ from synth.vehicle.designer import Designer
 
 WINDOW = 10.0  # s, time over which each road is measured
 SEEDS = (0, 1, 2, 3, 4, 5)  # seeds of the random roads on which candidates are compared
-ROADS = 30  # linear analysis expects the largest value over this many windows of length `WINDOW`
+ROADS = 30  # linear analysis computes the expected largest value over this many windows of length `WINDOW`
 NOISE = 0.01  # noise that is assumed for a sensor without noise in the file, relative to the signal's rms without control
 # limit on the stroke, relative to the passive car's peak travel, and on the force, relative to the static load, if no limits
 # are given
@@ -82,7 +82,7 @@ class Task:
 
     @cached_property
     def pushed(self) -> Vehicle:
-        """The vehicle with force actuators, without noise in its loop."""
+        """The vehicle with force actuators, and without the noise of the control loop."""
         vehicle = self.vehicle.with_force_actuators if self.vehicle.dampers else self.vehicle
         return replace(vehicle, implementation=vehicle.implementation.without_noise)
 
@@ -161,7 +161,7 @@ class Task:
 
     @cached_property
     def sensors(self) -> tuple[str, ...]:
-        """Sensors of the file: signals with noise or in a controller. If there are none, travels and accelerations."""
+        """Signals that the vehicle file measures: those with noise or in a controller; without any, travels and accelerations."""
         model, how = self.vehicle.linear_model, self.vehicle.implementation
         named = [*how.noise, *how.quantisation, *(name for one in self.vehicle.controllers.values() for name in one.measured)]
         real = dict.fromkeys(name for name in named if name in model.measurable and name not in model.inputs)

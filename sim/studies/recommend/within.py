@@ -24,7 +24,7 @@ class Usage(NamedTuple):
         gain_margin: smallest factor, up or down, on all forces at which the loop becomes unstable; at most `MOST_GAIN`.
         disk: symmetric disk margin, from 0 to 2.
         off_ground: share of the time in which a tyre does not touch the ground.
-        passive_off_ground: share of this time for the passive vehicle, which any candidate may reach.
+        passive_off_ground: the same share of time for the passive vehicle; every candidate may reach this share.
     """
 
     stroke: float
@@ -41,8 +41,8 @@ class Within(CheckedFields):
 
     Attributes:
         stroke, force: largest allowed share of the stroke, and of the largest force.
-        gain_margin: smallest allowed gain margin, as a factor: the loop must be stable if all forces are multiplied or divided by
-            less.
+        gain_margin: smallest allowed gain margin, as a factor: the loop must be stable if all forces are multiplied or divided
+            by a smaller factor.
         disk: smallest allowed symmetric disk margin.
         off_ground: largest allowed share of the time in which a tyre does not touch the ground.
 
@@ -85,7 +85,7 @@ class Within(CheckedFields):
 
 
 def read_within(text: str) -> Within:
-    """Returns the limits from a text such as `stroke=90%,force,disk=3dB,off_ground=none`; all others have their defaults.
+    """Returns the limits from a text such as `stroke=90%,force,disk=3dB,off_ground=none`; other limits have their defaults.
 
     Raises:
         InputError: a name is unknown or given twice, or a value is not allowed.
@@ -98,7 +98,7 @@ def read_within(text: str) -> Within:
                 raise InputError(f"unknown limit {name!r}; known are {alike(name, usual)}")
             if name in given:
                 raise InputError(f"{name} is given twice; give it once")
-            if name in ("gain_margin", "disk") and value.endswith("dB"):  # a factor, as in the table
+            if name in ("gain_margin", "disk") and value.endswith("dB"):  # a gain factor in dB, as in the table
                 factor = 10 ** (setting(name, value.removesuffix("dB")) / 20)
                 given[name] = factor if name == "gain_margin" else 2 * (factor - 1) / (factor + 1)
             else:

@@ -1,11 +1,11 @@
 """Signals between their samples as polynomials, which give extrema, crossings and integrals without sampling errors.
 
-A signal consists of pieces with one polynomial each. A piece is one timestep long, or shorter while wheels pass an edge of the
-road that lasts only a few steps. A linear response is known exactly at any time, so enough points for a polynomial of high degree
-exist in each piece. A polynomial of degree 8 describes a mode that advances by 1 rad per step with an error of 1e-11. A MuJoCo
-signal is known only at its samples. Each piece is then a cubic through the four nearest samples; a held force is constant from
-one sample to the next. No polynomial crosses a vertical edge of the road or a switching instant (`sim.drive.jumps`), where a
-signal has one value on each side.
+A signal consists of pieces with one polynomial each. A piece is one timestep long, or shorter while wheels pass kinks of the
+road that are only a few steps apart. A linear response is known exactly at any time, so enough points for a polynomial of high
+degree exist in each piece. A polynomial of degree 8 describes a mode that advances by 1 rad per step with an error of 1e-11. A
+MuJoCo signal is known only at its samples. Each piece is then a cubic through the four nearest samples; a held force is
+constant from one sample to the next. No polynomial crosses a vertical edge of the road or a switching instant
+(`sim.drive.jumps`), where a signal has one value on each side.
 """
 
 import itertools

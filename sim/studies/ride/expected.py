@@ -1,9 +1,9 @@
 """Expected metrics of a linear vehicle on a random road, and the remaining transient when the measurement begins.
 
-The vertical road velocity is white noise within a frequency band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per Hz
-at the speed V. Rear wheels meet the same road later, and left and right track are coherent to the degree that the road defines.
-The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the frequency
-response of the implemented loop, the spectrum and the covariance of outputs i and k are
+The vertical road velocity is white noise within a frequency band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per
+Hz at the speed V. Rear wheels reach the same road later, and left and right track are coherent to the degree that the road
+defines. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
+frequency response of the implemented loop, the spectrum and the covariance of outputs i and k are
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
@@ -212,7 +212,7 @@ def _settling_time(A: Array) -> float:
 
 @one_thread()
 def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> ExpectedMetrics | None:
-    """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no equivalent line is found.
+    """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no linear equivalent is found.
 
     Args:
         vehicle: the vehicle.
@@ -264,7 +264,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         return road.density * np.moveaxis(powers, 0, 1)
 
     def checked(_: Array, spectra_by_step: Array) -> Array:
-        """Returns the means over a period of the spectra that cannot be negative."""
+        """Returns the spectra that cannot be negative, averaged over the steps of a period."""
         return spectra_by_step[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))

@@ -33,7 +33,7 @@ DURATION = 5.0  # s, shortest duration of a run under loads
 AFTER = 2.0  # s, time that a run continues after the last change of a load
 LONGEST = 60.0  # s, longest duration of a run under loads
 SPEED = 20.0  # m/s; the speed has no effect on a flat road
-BRAKE, BRAKED = "brake:g=0.5", 3.0  # load of the braking run, and duration of this run [s], which is long enough to settle
+BRAKE, BRAKED = "brake:g=0.5", 3.0  # load of the braking run, and duration of this run [s], in which the vehicle settles
 LeaningRow = tuple[str, Metric, RunMetrics]
 
 

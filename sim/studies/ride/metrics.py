@@ -1,7 +1,7 @@
 """Metrics of a suspension: ride, travel, road holding, and actuator effort, computed block by block during a run.
 
-A metric is a class of the registry `METRICS`, with a name, a unit, signals, rules over time and over runs, and an expected
-value.
+A metric is a class of the registry `METRICS`, with a name, a unit, signals, rules that combine values over time and over runs,
+and an expected value.
 
 A held force jumps at each sample, and the accelerations jump with it. Each sample of an acceleration is the mean of the values
 just before and just after the jump. The value after the jump would not include the mean delay of a held force, which is half a
@@ -11,8 +11,8 @@ The time window of all metrics excludes the transient at the start of a run. The
 (`sim/studies/ride/weighting.py`) has a delay of three samples. For the filter output at the last three samples of the window, the
 acceleration is extrapolated by a straight line through the last two samples.
 
-With semi-active dampers, the rms of an acceleration uses the values on both sides of each jump. The rms and the peak of a damper
-force also use the values on both sides.
+With semi-active dampers, the rms of an acceleration uses the values on both sides of each jump. The rms and the peak of a
+damper force also use both values.
 
 The angles of the body are linear functions of deflections and road heights (`VehicleKind.angles`). For MuJoCo, which has finite
 angles, the error is of second order in the angle.

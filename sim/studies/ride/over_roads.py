@@ -45,7 +45,7 @@ class Ride:
         measured: root mean square over the roads, measured in MuJoCo.
         predicted: prediction from the spectrum of the class.
         spread: predicted standard deviation from road to road.
-        events: text with the share of time in which a tyre is off the ground, and with the number of aborted runs.
+        events: text that states the share of time in which a tyre is off the ground, and the number of aborted runs.
     """
 
     road_class: str

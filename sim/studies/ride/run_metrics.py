@@ -277,7 +277,8 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
 def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
     """Returns two rows for the table of controllers: expected values and standard deviations, by heading.
 
-    A cell is of the wheel, suspension or actuator with the largest expected value. The result is empty without expected values.
+    Each cell shows the value of the wheel, suspension or actuator with the largest expected value. The result is empty without
+    expected values.
     """
     mean, spread = {"controller": f"{run.controller.name}, expected"}, {"controller": f"{run.controller.name}, +- by road"}
     for some in compared_metrics(run.vehicle).values():
@@ -306,7 +307,7 @@ def roughness_sentence(run: Run) -> str:
 def basis(run: Run, metrics: RunMetrics) -> list[str]:
     """Returns sentences about the accuracy of the expected values, and about effects that they omit.
 
-    If the run broke off, the first sentence gives the reason.
+    If the run was aborted, the first sentence gives the reason.
     """
     vehicle, said = run.vehicle, broken_off_sentence(run)
     if (settled := metrics.settled) is not None and abs(settled.share - 1) > SETTLED:

@@ -24,7 +24,7 @@ MOST_POINTS = 2  # largest number of columns for the ride at points without a pe
 
 
 def headline(scores: Sequence[Score]) -> str:
-    """Returns a line about the controllers with the best ride and the best road holding."""
+    """Returns a line that names the controllers with the best ride and the best road holding."""
     marked = best(scores)
     praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
     said: dict[tuple[str, ...], list[str]] = {}
@@ -37,7 +37,7 @@ def headline(scores: Sequence[Score]) -> str:
 
 
 def _faults(scores: Sequence[Score]) -> dict[str, list[str]]:
-    """Returns the labels of the controllers with each fault."""
+    """Returns, for each fault, the labels of the controllers with this fault."""
     return {
         fault: [one.label for one in scores if one.fault == fault]
         for fault in dict.fromkeys(one.fault for one in scores if one.fault)
@@ -113,9 +113,9 @@ def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score
 
 
 def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
-    """Returns the columns of a quantity: the column of the vehicle and, if it has a person, columns of further points.
+    """Returns the table columns for a quantity: one for the vehicle and, if it carries a person, one for each additional point.
 
-    More than `MOST_POINTS` further points share one column, which contains the largest value.
+    More than `MOST_POINTS` additional points share one column, which contains the largest value.
     """
     begin = f"{quantity.key}_"
     points = dict.fromkeys(key for one in scores for key in one.values if key not in COLUMNS and key.startswith(begin))
@@ -131,7 +131,7 @@ def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Sc
 
 
 def _travel(quantity: Field[Score], scores: Sequence[Score]) -> tuple[list[Field[Score]], str]:
-    """Returns the columns of travel, and a text about the strokes for the caption.
+    """Returns the columns of travel, and a text for the caption that states the strokes.
 
     If all runs have stops, bump and rebound have separate columns: in mm if all strokes are equal, otherwise in per cent of the
     stroke.

@@ -65,7 +65,7 @@ def score_field(key: str, label: str, unit: str = "", scale: float = 1.0) -> Fie
 
 COLUMNS = {name: one.column for name, one in METRICS.load_all().items() if one.column}
 FIELDS = tuple(score_field(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
-FORCES = tuple(one for one in FIELDS if METRICS.load(one.key).effort)  # fields that are left out for the passive vehicle
+FORCES = tuple(one for one in FIELDS if METRICS.load(one.key).effort)  # fields that are omitted for the passive vehicle
 KEYS = tuple(one.key for one in FIELDS)
 
 

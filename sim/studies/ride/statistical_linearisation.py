@@ -80,7 +80,7 @@ class Remainder:
         pulls: names of the e deflections along which the forces act.
         index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
         omega: frequencies [rad/s], ascending from 0, shape (F,).
-        memory: transfer matrix from the arguments to the forces, without the lines, shape (F, e, e).
+        memory: transfer matrix from the arguments to the forces, without the slopes of the lines, shape (F, e, e).
         noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
         mean_force: mean forces of the remainders, without the mean forces of the lines [N], shape (e,).
         share: largest share of the remainder in the variance of a force.

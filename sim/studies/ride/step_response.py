@@ -26,7 +26,7 @@ from synth.controller.loop_of import HEIGHT, with_ending
 if TYPE_CHECKING:
     from sim.studies.ride.between_samples import Pieces
 
-BAND = 2.0  # %, half the width of the band in which a signal counts as settled, unless the user gives another
+BAND = 2.0  # %, half the width of the band in which a signal counts as settled, unless the user gives another value
 BANDS = (1e-6, 99.0)  # %, smallest and largest allowed half width of this band
 # a signal counts as zero (by symmetry) if its peak is smaller than this, relative to the largest signal with the same unit
 SILENT = 1e-9

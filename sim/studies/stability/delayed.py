@@ -1,4 +1,4 @@
-"""Slowest mode of a loop whose forces are delayed by many samples, computed without the eigenvalues of all pending forces.
+"""Slowest mode of a loop whose forces are delayed by many samples, computed without all eigenvalues of the pending forces.
 
 If the delay is d samples, the state of the loop contains d pending forces. The eigenvalues of the map from one sample to the next
 have almost equal magnitudes. An iteration can therefore not separate the largest eigenvalue from the others. This module uses the
@@ -53,7 +53,7 @@ def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
         moved[k + 1] = moved[k] @ Phi
     seen = G @ moved[:-1]  # requested force per unit of the state k samples earlier, shape (delay, m, n)
     pushed = moved[-2::-1] @ Gamma  # state after the delay per unit of force in step k, shape (delay, n, m)
-    length = 2 ** (2 * delay - 1).bit_length()  # length from which the circular convolution does not wrap around
+    length = 2 ** (2 * delay - 1).bit_length()  # smallest power of two for which the circular convolution does not wrap around
     # Requested force per unit of a force that acted k samples earlier.
     answered = np.fft.rfft(np.concatenate([np.zeros((1, m, m)), seen[:-1] @ Gamma]), length, axis=0)
 

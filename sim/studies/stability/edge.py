@@ -1,4 +1,6 @@
-"""Search for a stability limit in MuJoCo: the smallest gain factor, delay or sample period (the *amount*) that is unstable.
+"""Search for a stability limit in MuJoCo: the smallest gain factor, delay or sample period that makes a loop unstable.
+
+Each of these three quantities is called the *amount* of a search.
 
 The derivative of MuJoCo's step shows whether a loop is stable (`simulated_loop.py`). Two runs then confirm the limit: one run
 decays, and the other grows. Each run starts in the slowest mode of its loop, so that growth or decay is visible immediately. The
@@ -21,7 +23,7 @@ from sim.drive.drive import drive
 from sim.studies.stability.simulated_loop import LoopCase, SimulatedLoop, simulated_loop
 from synth.plant.state_space import StateSpace
 
-WIDTH = 2e-3  # a search ends if the interval between stable and unstable amounts has this relative width
+WIDTH = 2e-3  # a search ends when the relative width of the interval between stable and unstable amounts is at most this
 # amounts (such as gain factors or delays) to try, relative to the expected limit
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0
 CHANGE = 0.1  # a run may end after a mode has changed by this relative amount
@@ -45,7 +47,7 @@ class StabilityEdge:
         trial: function that returns the loop for an amount.
         expected: predicted limit, where the search starts; infinite if every amount is predicted to be stable.
         most: largest amount to try if `expected` is infinite.
-        multiple: step of the amounts, if only its integer multiples are allowed; 0 if amounts are real numbers.
+        multiple: step of the amounts if only integer multiples of it are allowed; 0 if any positive amount is allowed.
         stable: largest stable amount below `unstable`. An amount of zero is assumed to be stable.
         unstable: smallest unstable amount; infinite if all tried amounts are stable.
         searched: True after the search.

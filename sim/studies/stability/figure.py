@@ -72,7 +72,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
 
 
 def _both(field: Field[float], predicted: float, found: float) -> str:
-    """Returns a text with the predicted margin and the margin found in MuJoCo."""
+    """Returns a text that states the predicted margin and the margin found in MuJoCo."""
     first, second = (
         "not found" if math.isnan(one) else "any" if math.isinf(one) else field.text(one) for one in (predicted, found)
     )
@@ -80,9 +80,9 @@ def _both(field: Field[float], predicted: float, found: float) -> str:
 
 
 def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[LoopCase], float], scale: float) -> Panel:
-    """Returns a panel that shows the growth rate over the amount, as a predicted line and as points from MuJoCo.
+    """Returns a panel with the growth rate as a function of the amount: a predicted line, and points from MuJoCo.
 
-    The points include the two amounts between which MuJoCo's growth rate changes its sign.
+    The points include the two amounts between which the growth rate measured in MuJoCo changes sign.
 
     Args:
         title: title of the panel.

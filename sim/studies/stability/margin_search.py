@@ -29,7 +29,8 @@ from synth.plant.state_space import StateSpace
 # road on which recorded runs drive: short, and too low to lift a wheel
 BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")
 LONGEST = 2.0  # s; longest delay, and longest sample period, to try if linear analysis predicts no limit
-# allowed relative difference of a gain margin; a search has an error of 0.2 %, and an extrapolation an error of 0.3 %
+# allowed relative difference between a gain margin in MuJoCo and its prediction; the error of a search is 0.2 %, and that of an
+# extrapolation 0.3 %
 AGREES = 5e-3
 # largest relative error of a gain margin that a search finds; the error of an extrapolation depends on this error
 ENDS = 1.5e-3
@@ -72,7 +73,7 @@ class GainMargin:
     ) -> "GainMargin":
         """Prepares the searches for a margin at the given timestep and at smaller steps, without running them.
 
-        The smaller steps are chosen such that the extrapolation from the last two steps gives the margin of the continuous loop.
+        The smaller steps are chosen such that extrapolating the last two steps gives the margin of the continuous loop.
 
         Args:
             own: predicted margin of the continuous loop.
@@ -361,7 +362,8 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     def grows(amount: float) -> bool:
         return radius(loop_of(later(amount).vehicle, controller, timestep)) > 1
 
-    # Near half the sample rate, a delayed hold is not equal to a phase lag, so the delay is searched for in the linear loop
+    # Near half the sample rate, a delayed hold is not equivalent to a phase lag, so the delay is searched for in the linear
+    # loop
     late = math.inf
     if mine.all() and predicted.delay < SLOWEST:
         late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]

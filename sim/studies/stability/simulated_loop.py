@@ -21,7 +21,7 @@ from synth.controller.controller import Controller
 from synth.plant.loop import REQUESTED, HoldInterval, Loop
 from synth.plant.state_space import StateSpace
 
-STANDS = 1e-6  # 1/s; a smaller growth rate counts as 0, because finite differences cause an error of a tenth of this rate
+STANDS = 1e-6  # 1/s; a growth rate below this counts as 0, because finite differences cause an error of a tenth of this value
 SMALL = 1e-6  # m or rad; size of the largest coordinate in the initial state of a run
 FREE = 1e-2  # largest force in a run that starts in the slowest mode, as a share of the force limit
 ACTING_STATE = "acting_{}"  # pattern for the names of states that contain the forces now acting

@@ -24,7 +24,7 @@ def edges(cells: Cells) -> dict[str, Any]:
     """Returns the edges as a JSON object in SI units.
 
     For each value of the other axis, `lines` contains the predicted limits along the height. If the height does not vary, these
-    are the limits along the first axis. `enclosed` contains the heights that MuJoCo runs enclose.
+    are the limits along the first axis. `enclosed` contains the heights of the edge that two MuJoCo runs enclose.
     """
     # if True, the response for one height predicts the responses for all heights
     proportional = not (cells.loads or cells.vehicle.parts.nonlinear)

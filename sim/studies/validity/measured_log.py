@@ -24,7 +24,7 @@ from sim.runs.result import RunResult
 
 LEAST_OVERLAP = 0.5  # smallest overlap of log and run with which they are correlated, relative to the shorter of the two
 MOST_SAMPLES = 2**21  # largest number of samples with which log and run are correlated
-WEAK = 0.5  # if the correlation is smaller, a remark asks the user to check the start
+WEAK = 0.5  # if the correlation is smaller than this, a remark asks the user to check the start
 OFFSET = 0.1  # a remark is printed if subtracting an offset improves the fit by more than this
 # A wrong sign is suggested if a correlation is below OPPOSITE, and its magnitude exceeds the correlation with the given sign by
 # the factor CLEARLY.

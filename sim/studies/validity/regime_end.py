@@ -1,4 +1,4 @@
-"""Bump height at which the linear regime ends: predicted by one linear response, and enclosed by two MuJoCo runs.
+"""Bump height at which the linear regime ends, predicted by one linear response, and enclosed by two MuJoCo runs.
 
 The linear regime ends when a signal reaches a limit in `REGIME_ENDS`. Up to this point, the response is proportional to the
 bump height, so one response predicts the height at which the first limit is reached. MuJoCo simulates a bump slightly below this
@@ -28,13 +28,14 @@ from sim.studies.validity.map_runs import MapRun, analysed_each, drive_bumps, la
 from synth.controller.controller import Controller
 
 WITHIN = 1.001  # MuJoCo simulates the predicted height divided by this factor, and multiplied by it
-NEAR = 1.03  # because bodies rotate, another limit may be reached first if its height is within this factor
+# because bodies rotate, another limit may be reached first if its height is within this factor of the predicted height
+NEAR = 1.03
 FURTHEST = 4.0  # largest bump height to try, relative to the predicted height
 ROUNDS = 8  # largest number of times that MuJoCo runs are repeated at other heights
 # Largest number of analyses to find the height at which a vehicle with nonlinear springs or dampers reaches a limit
 ANALYSES = 20
-# A run can be cut off early if, relative to the limits, all signals afterwards are below OVER times the largest one. CUTS times
-# are tried as the end.
+# A run can be cut off early if, relative to the limits, all signals afterwards are below OVER times the largest one. The number
+# of end times that are tried is CUTS.
 OVER, CUTS = 0.8, 30
 
 

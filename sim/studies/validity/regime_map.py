@@ -95,7 +95,7 @@ class Cells:
 
     @property
     def short(self) -> str:
-        """Text about the share of force that semi-active dampers lack; empty if no force is missing."""
+        """Text that states which share of the force semi-active dampers cannot apply; empty if no force is missing."""
         some = [one.missing for one in self.driven.values() if one.missing > 0]
         if not some:
             return ""

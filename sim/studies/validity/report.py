@@ -315,7 +315,7 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
-    """Returns a text with the value of a limit of the vehicle file, if it is the same in both directions.
+    """Returns a text that states a limit of the vehicle file, if the limit is the same in both directions.
 
     For a nonlinear characteristic, the text contains the allowed difference from its linearisation.
     """

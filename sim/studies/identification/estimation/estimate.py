@@ -3,9 +3,9 @@
 The residuals of each sensor are divided by the rms of its noise. If this rms is not given, it is estimated from the residuals,
 alternately with the parameters. `scipy.optimize.least_squares` minimises the sum of squares of the residuals.
 
-Intervals. J contains the derivatives of all residuals. The covariance of the logarithms is (J'J)^-1. If the residuals of a
-sensor are coloured, this covariance is too small. (J'J)^-1 J'RJ (J'J)^-1 is then used, where R is the autocovariance of an
-autoregressive model of each sensor's residuals.
+Intervals. J contains the derivatives of all residuals. The covariance of the parameters' logarithms is (J'J)^-1. If the
+residuals of a sensor are coloured, this covariance is too small. (J'J)^-1 J'RJ (J'J)^-1 is then used, where R is the
+autocovariance of an autoregressive model of each sensor's residuals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,10 +22,12 @@ from sim.studies.identification.estimation.search import NORMAL, Solution, first
 from sim.studies.identification.estimation.structure import Structure, information, structure_of
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
-# a parameter counts as not determined if the standard deviation of its logarithm is larger: a factor of 7 up or down
+# a parameter counts as not determined if the standard deviation of its logarithm is larger than this; its interval then reaches
+# a factor of 7 up and down
 WIDE = 1.0
 FAR = 100.0  # a search is skipped if the deviance at its starting point exceeds that of a known solution by more than this
-# if the rms of the residuals is a smaller share of the signal's rms, the residuals contain no noise that could be tested
+# if the rms of the residuals is a smaller share of the signal's rms than this, the residuals contain no noise that could be
+# tested
 NOISELESS = 1e-3
 
 
@@ -47,7 +49,7 @@ class Estimate:
         predicted: predicted signals of each experiment, shape (T, q).
         deviance: -2 log likelihood, up to a constant.
         residuals: the residuals for further analysis.
-        x: the unknowns.
+        x: values of all unknowns.
     """
 
     problem: IdentificationProblem
@@ -69,7 +71,7 @@ class Estimate:
     def noiseless(self) -> dict[str, float]:
         """Signals that are fitted almost exactly: by name, the largest ratio of the residuals' rms to the signal's rms.
 
-        Spectra have no such signals, because they scatter.
+        For spectra, there are no such signals, because periodograms scatter.
         """
         shares = {name: max(1 - each[name] for each in self.fits if name in each) for name in self.problem.signals}
         return {name: share for name, share in shares.items() if share < NOISELESS and self.predicted}
@@ -122,7 +124,7 @@ class Estimate:
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """For each free parameter, the product with powers of held parameters that the logs determine: powers by name."""
+        """For each free parameter, its product with powers of held parameters that the logs determine, as powers by name."""
         return self.structure.determined(self.free)
 
 

@@ -64,6 +64,6 @@ class IdentificationProblem:
 
     @cached_property
     def delayed(self) -> tuple[str, ...]:
-        """Names of the signals whose sensor's delay is estimated."""
+        """Names of the signals for which the delay of the sensor is estimated."""
         names = {one.signal for each in self.experiments for one in each.channels if one.delay_estimated}
         return tuple(name for name in self.signals if name in names)

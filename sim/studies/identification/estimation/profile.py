@@ -15,7 +15,7 @@ from sim.studies.identification.estimation.estimate import Estimate
 from sim.studies.identification.estimation.residuals import FURTHEST
 from sim.studies.identification.estimation.search import CHI2, NORMAL, lower_limits, solve
 
-STRIDE = 1.5  # largest step of a logarithm, a factor of 4.5
+STRIDE = 1.5  # largest step of a parameter's logarithm; it changes the parameter by a factor of 4.5
 ROUNDS, MOST = 2, 8  # largest number of rounds of the search for a point, and of evaluations in each round
 FINE = 1e-2  # accuracy of the end of an interval, relative to the last step
 REFINED = 6  # largest number of points within the last step
@@ -42,7 +42,7 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
 
 
 def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float | None:
-    """Returns the unknown i at which the square root of the rise of the deviance reaches a level; None if it never does.
+    """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if it never does.
 
     Args:
         last: last value of the unknown.

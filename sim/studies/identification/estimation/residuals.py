@@ -1,7 +1,8 @@
-"""Residuals of all experiments, predicted minus measured signals divided by the noise, and their derivatives by the unknowns.
+"""Residuals of all experiments, predicted minus measured signals divided by the noise, and derivatives of the residuals.
 
-The vector x contains all unknowns: free parameters, delays of sensors [s], and the starting state and offsets of each experiment.
-The unknown of a parameter is the logarithm of its ratio to the initial value, or the ratio itself if the parameter may be zero.
+The vector x contains all unknowns: free parameters, delays of sensors [s], and the starting state and offsets of each
+experiment. The unknown that represents a parameter is the logarithm of its ratio to the initial value, or the ratio itself if
+the parameter may be zero.
 """
 
 import math
@@ -104,7 +105,7 @@ class Residuals:
                 yield channel, values[np.isfinite(values)]
 
     def channel_columns(self, x: Array, noise: Mapping[str, float], i: int, channel: int, part: slice = slice(None)) -> Array:
-        """Returns the derivatives of an experiment's residuals in one channel by all unknowns, shape (T, unknowns)."""
+        """Returns the derivatives of an experiment's residuals in one channel, with a column per unknown, shape (T, unknowns)."""
         signals, name = self.predicted(x)[i], self.problem.experiments[i].signals[channel]
         columns, size = np.zeros((len(signals.values[part]), self.size)), noise[name]
         for j, scale in enumerate(self.sizes(self.values(x)).values()):
@@ -200,5 +201,5 @@ class Residuals:
 
 
 def bounded(residuals: Array) -> Array:
-    """Returns the residuals with large numbers instead of overflows (unstable vehicles), so that the search turns back."""
+    """Returns residuals in which large numbers replace overflows, so that the search turns back from unstable vehicles."""
     return np.nan_to_num(np.clip(residuals, -1e12, 1e12), nan=1e12)

@@ -21,7 +21,7 @@ STARTS = 6
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
 # largest number of evaluations in the first search, and in a search from a further starting point or near a solution
 MOST, FEW = 60, 10
-POOR = 0.5  # if the fit explains a smaller share of a signal's mean square, other starting points are tried
+POOR = 0.5  # if the fit explains a smaller share of a signal's mean square than this, other starting points are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def solve_from_several(of: Residuals, seed: int) -> Solution:
 
 
 def least_squares(of: Residuals, x: Array, noise: Mapping[str, float], most: int, among: Sequence[int] | None = None) -> Array:
-    """Returns the unknowns that minimise the squares of the residuals over the noise, after at most `most` evaluations.
+    """Returns the unknowns with the least sum of squares of residuals divided by the noise, after at most `most` evaluations.
 
     Args:
         among: indices of the unknowns that change; all by default.

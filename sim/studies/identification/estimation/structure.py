@@ -1,11 +1,11 @@
 """Combinations of parameters that the logs determine, and directions along which no signal changes.
 
-J contains the derivatives of all residuals, and J'J is the information matrix. The columns of J for the parameters are projected
-onto the complement of the columns for all other unknowns. The singular value decomposition of the result gives the singular
-values s, and in V the directions in the space of the logarithms. A change of the logarithms along a direction with s = 0 changes
-no signal. The motion of a quarter-car has one such direction: all masses, stiffnesses and dampings multiplied by the same number.
-As many parameters as there are such directions are then held at their initial values. For each other parameter, the logs
-determine the product of this parameter with powers of the held ones.
+J contains the derivatives of all residuals, and J'J is the information matrix. The columns of J for the parameters are
+projected onto the orthogonal complement of the columns for all other unknowns. The singular value decomposition of the result
+gives the singular values s, and in V the directions in the space of the logarithms. A change of the logarithms along a
+direction with s = 0 changes no signal. The motion of a quarter-car has one such direction: all masses, stiffnesses and dampings
+multiplied by the same number. For each such direction, one parameter is then held at its initial value. For each other
+parameter, the logs determine the product of this parameter with powers of the held ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.estimation.residuals import Residuals
 from sim.studies.identification.estimation.search import first_unknowns
 
-SINGULAR = 1e-7  # smallest relative singular value of a direction that changes a signal; matrices are accurate to 1e-10
-ZERO = 1e-5  # a component of a direction counts as zero if it is smaller
+SINGULAR = 1e-7  # a direction with a smaller relative singular value changes no signal; the matrices are accurate to 1e-10
+ZERO = 1e-5  # a component of a direction counts as zero if its magnitude is smaller than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Structure:
     directions: tuple[Mapping[str, float], ...] = ()
 
     def determined(self, free: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Returns for each parameter that is free the product with held parameters that the logs determine: powers by name."""
+        """Returns for each free parameter its product with held parameters that the logs determine, as powers by name."""
         if not self.directions:
             return {}
         own, held = (np.array([[one.get(name, 0.0) for one in self.directions] for name in names]) for names in (free, self.held))
@@ -54,7 +54,7 @@ def information(R: Array, p: int) -> tuple[Array, Array]:
     """Returns the information on the first p unknowns if all others are also unknown, and how the others compensate for them.
 
     Args:
-        R: derivatives of all residuals by the u unknowns, or the factor R of their QR decomposition, shape (k, u).
+        R: derivatives of all residuals with respect to the u unknowns, or the factor R of their QR decomposition, shape (k, u).
 
     Returns:
         R, where R'R is the information, shape (p, p), and C, shape (u - p, p). The columns of the others times C are the part of
@@ -66,12 +66,12 @@ def information(R: Array, p: int) -> tuple[Array, Array]:
 
 
 def structure_of(R: Array, free: Sequence[str]) -> Structure:
-    """Returns what the signals do not determine.
+    """Returns the parameters and combinations that the signals do not determine.
 
     Args:
-        R: derivatives of all residuals by the unknowns at the initial values, or the factor R of their QR decomposition. The
-            first columns are those of the free parameters. At the initial values, they are also the derivatives with respect
-            to the logarithms, even if a parameter may be zero.
+        R: derivatives of all residuals with respect to the unknowns at the initial values, or the factor R of the QR
+            decomposition of these derivatives. The first columns are those of the free parameters. At the initial values, they
+            are also the derivatives with respect to the logarithms, even if a parameter may be zero.
         free: names of the free parameters.
     """
     R, _ = information(R, len(free))
@@ -116,6 +116,6 @@ def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
 
 
 def _tidy(number: float) -> float:
-    """Returns the nearest multiple of 1/12 if a number equals it up to rounding."""
+    """Returns the nearest multiple of 1/12 if a number equals this multiple up to rounding; otherwise the number itself."""
     near = round(12 * number) / 12
     return near if abs(near - number) < 1e-4 else float(number)

@@ -1,17 +1,17 @@
 """Spectra of logs from a random road: what the sensors measured, and what a vehicle predicts.
 
-The road is not measured; only its spectrum has a known form (ISO 8608). A vehicle with the frequency response F from the random
-sources of the road to the q sensors has measurements with the one-sided spectral matrix
+The road is not measured; only its spectrum has a known form (ISO 8608). Let F be the frequency response of a vehicle from the
+random sources of the road to the q sensors. The measurements then have the one-sided spectral matrix
 
     S(f) = F F* + 2 h diag(noise^2),
 
-for the sample time h. F contains the delays of the wheels, so front and rear wheels share a road.
+for the sample time h. F contains the delays of the wheels, so front and rear wheels drive over the same road.
 
 Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w
-that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value E,
-which is the convolution of S with the spectrum of the taper. To compare periodograms with E instead of S removes the bias of
-leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies count as independent. The
-taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate Anal. 27, 55-83).
+that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value
+E, which is the convolution of S with the spectrum of the taper. Comparing periodograms with E instead of S removes the bias due
+to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies count as independent.
+The taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate Anal. 27, 55-83).
 """
 
 import itertools
@@ -39,10 +39,10 @@ RAMP = 0.1  # share of a segment over which the taper rises, and over which it f
 # Each range of frequencies has its own length of segments, because resonances at high frequencies are wider. The numbers are the
 # lower end of the range [Hz] and the longest segment [s].
 RANGES = ((0.0, 60.0), (3.0, 12.0))
-USABLE = 0.39  # largest usable frequency relative to the sampling rate; filters against aliasing act above it
+USABLE = 0.39  # largest usable frequency relative to the sampling rate; anti-aliasing filters act above it
 FIRST = 3  # lowest frequency that is used, in units of 1 / length of a segment
 REACH = 16  # half-width of the taper's spectrum in half-bins
-FEWEST = 20  # smallest number of frequencies
+FEWEST = 20  # a log is too short if its spectra have fewer frequencies than this
 NARROW = 4  # smallest number of frequencies in a band for fits and tests
 DIFFERENCE = 1e-5  # relative step of finite differences of matrices
 
@@ -71,12 +71,12 @@ class Periodograms:
 
     @property
     def weight(self) -> float:
-        """Number of independent segments, counted by their information."""
+        """Effective number of independent segments, which is smaller because the taper reduces their information."""
         return self.segments / self.inflation
 
     @property
     def width(self) -> float:
-        """Distance between two frequencies [Hz]."""
+        """Spacing of the frequencies [Hz]."""
         return float(self.frequencies[0]) / self.first
 
     def powers(self, spectra: Array) -> Array:
@@ -109,7 +109,7 @@ class Periodograms:
 
 
 def free_road(experiments: Sequence[Experiment], fix: Sequence[str], free: Sequence[str]) -> dict[str, float] | None:
-    """Returns the initial values of the free parameters of a random road; None if the road of no experiment is random.
+    """Returns the initial values of the free parameters of a random road; None if no experiment has a random road.
 
     The roughness is free, and the waviness is fixed, by default.
 
@@ -211,7 +211,7 @@ class RoadResponse:
         }
 
     def __call__(self, omega: Array) -> tuple[Array, list[Array]]:
-        """Returns the responses, shape (J, q, 2), and the derivative by the logarithm of each free parameter, of the same shape.
+        """Returns the responses, shape (J, q, 2), and derivatives of this shape with respect to the parameters' logarithms.
 
         Args:
             omega: angular frequencies [rad/s], shape (J,).

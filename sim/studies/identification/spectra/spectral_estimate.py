@@ -2,10 +2,11 @@
 
 The search is Fisher's scoring: Newton's method in a trust region, with the expected information as half the second derivative.
 
-Test. If vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential distribution at
-each frequency. For the mean of several segments, the distribution is a gamma distribution. The same is true for the part of a
-signal that cannot be predicted from the other signals. For both ratios, one test compares the means in bands with 1, and another
-one (Kolmogorov) compares the distribution. The smallest of the probabilities is multiplied by the number of tests.
+Test. If the models of vehicle and road are right, the ratio of a signal's periodogram to its expected value has an exponential
+distribution at each frequency. For the mean of several segments, the distribution is a gamma distribution. The same is true for
+the part of a signal that cannot be predicted from the other signals. For both ratios, one test compares the means in bands with
+1, and another test (Kolmogorov) checks the distribution. The smallest of the probabilities is multiplied by the number of
+tests.
 """
 
 import math
@@ -30,13 +31,13 @@ from sim.studies.identification.spectra.random_road import Periodograms
 from sim.studies.identification.spectra.spectral_residuals import SpectralResiduals
 from sim.studies.identification.whiteness import Whiteness
 
-# The search ends if the derivatives of the deviance are smaller. An unknown with the standard deviation s is then off by at most
-# s^2 / 2 times this.
+# The search ends if the derivatives of the deviance are smaller than this. An unknown with the standard deviation s then
+# differs from the optimum by at most s^2 / 2 times this.
 SETTLED, COARSE = 1e-2, 1.0
 MOST, FEW = 40, 10  # largest number of iterations of a search, and of one from a further starting point
 PARTS = 5  # number of parts of a log that are compared
-UNSTEADY = 2.0  # a log is not steady if the rms in two parts differs by a larger factor
-POOR = 0.5  # if the fit of a signal's spectrum is smaller, other starting points are tried
+UNSTEADY = 2.0  # a log counts as not steady if the rms values of two parts differ by a larger factor than this
+POOR = 0.5  # if the fit of a signal's spectrum is smaller than this, other starting points are tried
 
 
 def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> Estimate:
@@ -126,7 +127,7 @@ def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def with_levels(of: SpectralResiduals, x: Array) -> Array:
-    """Returns unknowns with the most likely roughness and noise for the other unknowns."""
+    """Returns the unknowns with the roughness and noise that are most likely for the other unknowns."""
     return search(of, x, of.levels, COARSE) if of.levels else x
 
 
@@ -135,7 +136,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
 
     Args:
         among: indices of the unknowns that change; all by default.
-        enough: derivatives of the deviance that count as zero.
+        enough: the search ends if the derivatives of the deviance are smaller than this.
         most: largest number of iterations.
     """
     from scipy.optimize import minimize
@@ -182,7 +183,7 @@ def spectral_tests(of: SpectralResiduals, x: Array) -> list[dict[str, Whiteness]
 
 
 def together(tests: Sequence[Whiteness]) -> Whiteness:
-    """Returns the test of a signal from the tests of its bands of frequencies."""
+    """Combines the tests of a signal's frequency bands into one test of the signal."""
     correlations = np.concatenate([one.correlations for one in tests])
     outside = float(np.mean(np.abs(correlations) > tests[0].bound))
     least = min(1.0, len(tests) * min(one.probability for one in tests))
@@ -227,7 +228,7 @@ def spectral_figure(of: Estimate) -> Figure:
 
 
 def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
-    """Tests whether ratios of periodograms to their expected values have the distribution of the module docstring.
+    """Tests whether ratios of periodograms to their expected values have the distribution stated in the module docstring.
 
     Args:
         ratios: ratios of the same frequencies, each of shape (K,).

@@ -1,4 +1,4 @@
-"""Residuals of the spectra of logs from a random road (`random_road`), and their derivatives by the unknowns.
+"""Residuals of the spectra of logs from a random road (`random_road`), and their derivatives.
 
 Whittle's likelihood treats the spectra at different frequencies as independent. With the measured matrix P at a frequency, its
 expected value E, and n = segments / inflation independent segments,
@@ -9,7 +9,7 @@ With E = L L*, the residuals sqrt(n) (I - L^-1 P L^-*) and the derivatives sqrt(
 information (Fisher), and 2 J'c, which is the gradient of the deviance.
 
 The unknowns are one vector x: free parameters of vehicle and road as in `residuals`, delays of sensors [s], and noise. The
-unknown of a noise is the logarithm of its rms, relative to the rms of the signal.
+unknown that represents a noise is the logarithm of its rms, relative to the rms of the signal.
 """
 
 import math

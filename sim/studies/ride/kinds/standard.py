@@ -127,7 +127,10 @@ class FinalAngle(Angle):
 
 
 class Acceleration(Metric):
-    """Base class for metrics of a vertical acceleration of the body. Points with a person are compared, or else all points."""
+    """Base class for metrics of a vertical acceleration of the body.
+
+    Controllers are compared at the points with a person, or at all points if there is no person.
+    """
 
     unit, of, over_runs = "m/s2", "accelerations", LARGEST
 
