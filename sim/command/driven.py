@@ -1,4 +1,4 @@
-"""Runs of one vehicle file in a command that drives."""
+"""Runs of one vehicle file in `sim.bump` or `sim.drive`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ class VehicleRuns:
         vehicle: vehicle of the file.
         title: title of the vehicle in printed results; empty if there is only one vehicle.
         names: requested controllers.
-        runs: runs with the whole vehicle file, then the runs in which a part of the vehicle is omitted (`--without`).
+        runs: runs of the whole vehicle, then the runs in which a part of the vehicle is omitted (`--without`).
         without: omitted part for each run, such as noise; empty for runs with the whole vehicle file.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
