@@ -41,7 +41,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 Rows = list[dict[str, Any]]
-MOST_ROADS = 4096  # largest number of roads whose IRIs are kept in memory; one batch has fewer roads
+MOST_ROADS = 4096  # largest number of roads whose IRIs are kept in memory; this is more than the roads of a batch
 FAILED_LAW = "law: "  # a failure reason that begins with this text means that the run's Python law has failed
 
 

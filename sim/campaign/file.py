@@ -208,7 +208,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
 
     Args:
         key: key of the list in the campaign file.
-        written: entries as in the file.
+        written: entries as written in the campaign file.
         read: entries in a normal form, in which entries with the same content are equal.
     """
     first: dict[Hashable, str] = {}

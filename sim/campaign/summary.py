@@ -172,9 +172,9 @@ def _standard_error(values: Array) -> float | None:
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
-# text with the road and the speed, and the ride of each controller there
+# text that names the road and the speed, and the ride of each controller over this road
 Rides = tuple[str, Mapping[str, float | None]]
-Line = tuple[str, Mapping[str, Any]]  # key of `LINES`, and the matching entry of `summarise`
+Line = tuple[str, Mapping[str, Any]]  # key of `LINES` that selects the metric, and the entry of `summarise`
 STATISTICS = tuple(
     Field[Line](label, lambda row, key=key: row[1][row[0]][key], ".4g")
     for label, key in (("rms", "rms"), ("95 %", "p95"), ("predicted", "predicted"))

@@ -18,7 +18,7 @@ from sim.campaign.plan import Plan
 BatchResult = tuple[int, Rows, float]
 ANSWER = 3.0  # s, longest time to wait until the head node of a cluster answers
 TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
-RETRIES = 5  # how often a batch is repeated at most if its Ray worker dies
+RETRIES = 5  # largest number of repetitions of a batch whose Ray worker has died
 
 
 @one_thread()

@@ -26,7 +26,7 @@ class VehicleRuns:
         title: title of the vehicle in printed results; empty if there is only one vehicle.
         names: requested controllers.
         runs: runs of the whole vehicle, then the runs in which a part of the vehicle is omitted (`--without`).
-        without: omitted part for each run, such as noise; empty for runs with the whole vehicle file.
+        without: the part of the vehicle that is omitted in each run, such as noise; empty if no part is omitted.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
         fits: comparison of each run with a measured log; empty without a log.

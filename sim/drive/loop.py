@@ -128,7 +128,7 @@ class Loop:
     """
 
     def __init__(self, cases: Sequence[Case], timestep: float) -> None:
-        """Prepares the data that all batches of some cases share."""
+        """Prepares the data that all batches of the given cases share."""
         self.timestep = timestep
         self.model, self.readout = prepared_readout(cases[0].vehicle, timestep)
         distinct = {id(one.vehicle): one.vehicle for one in cases}

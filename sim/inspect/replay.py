@@ -65,7 +65,7 @@ def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
         vehicle = vehicle.without(part)
-    # In a comparison with controllers that request forces, the passive vehicle and state feedback also have force actuators.
+    # Next to controllers that request forces, the passive vehicle and state feedback were also run with force actuators.
     pushed = vehicle.dampers and name in RESERVED_NAMES and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
     vehicle = vehicle.with_force_actuators if pushed else vehicle.with_actuators_of(name)
     start = run.claim("start") if "start" in run.claims else {}

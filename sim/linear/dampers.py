@@ -48,7 +48,7 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
     """Returns the signals of the semi-active dampers by name.
 
     Args:
-        beyond: coefficients relative to the nominal ones [N s/m], shape (T, m).
+        beyond: damping coefficients minus the nominal ones [N s/m], shape (T, m).
         missing: requested forces minus actual forces [N], shape (T, m).
     """
     signals, forces = {}, vehicle.linear_model.inputs

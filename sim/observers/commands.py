@@ -31,7 +31,7 @@ from synth.controller.controller import AnyController, Controller
 if TYPE_CHECKING:
     from models.laws.semi_active import SemiActive
 
-SPEED = 1e-8  # allowed difference of a closing velocity, in m/s plus as a fraction of its largest value; at most 4e-16 occurs
+SPEED = 1e-8  # allowed difference of a closing velocity: in m/s, plus relative to its largest value; at most 4e-16 was observed
 # allowed difference between two commands, relative to the largest term of their sums; rounding causes at most 1e-13, a command
 # that is one sample late at least 1e-3
 EXACT = 1e-10

@@ -332,7 +332,7 @@ class _Path:
         return _Length(d, factor * self.starts[:, len(self.rest) // 2 + 1 + number], after, self.h)
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
-        """Returns the deflection along which an input acts: of its suspension if it has one, otherwise of its actuator."""
+        """Returns the deflection along which an input acts: that of its suspension if there is one, otherwise of its actuator."""
         model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.deflection_of(force))
         firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None

@@ -32,7 +32,7 @@ class LocalAgreement:
         error: the difference with the largest ratio to its allowed difference, relative to the peak of the signal.
         allowed: allowed difference of this signal, relative to its peak.
         signal: name of this signal, command or state of the law.
-        since: time of the first step or sample at which a difference is not allowed [s]; infinity if there is no such step.
+        since: time of the first step or sample at which a difference exceeds the allowed one [s]; infinity if none does.
     """
 
     error: float
@@ -51,8 +51,8 @@ class StepAgreement(LocalAgreement):
     """Differences between the simulation and the vehicle's exact equations, over single steps and at the starts of the steps.
 
     Attributes:
-        until: time before which a step must begin to be compared [s]; infinite if all steps are compared.
-        equations_invalid: True if the equations are not valid for the state at this time.
+        until: steps that begin before this time are compared [s]; infinite if all steps are compared.
+        equations_invalid: True if the equations are not valid for the state at the time `until`.
     """
 
     until: float

@@ -96,7 +96,7 @@ def _tab_container(pages: Sequence[rrb.Container]) -> rrb.Container:
 
 
 def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
-    """Returns a page of plots with the plots of differences below."""
+    """Returns a page of plots, with the plots of differences below them."""
     views = [_view(plot, runs, i == 0) for i, plot in enumerate(page.plots)]
     grid = rrb.Grid(*views, grid_columns=page.columns, name=page.title)
     if not page.difference:

@@ -32,7 +32,7 @@ ENERGY: tuple[Field[Energy], ...] = (
     ALLOWED,
 )
 DIAGRAM_POINTS = 60  # approximate number of points that show a MuJoCo run in a diagram
-ROOM = 1.15  # length of both axes of a diagram, relative to the largest value
+ROOM = 1.15  # limit of both axes of a diagram, relative to the largest value
 # largest number of controllers whose order of convergence is computed; each of them needs another run with twice as many steps
 MOST_ORDERS = 4
 Finer = Mapping[str, SignalAgreement]  # agreement of each signal when the run is repeated at half the timestep

@@ -83,7 +83,7 @@ def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> 
     Args:
         run: run with the signal.
         peaks: published peaks of the signal in this run.
-        one: compared number of the entry, which defines the signal, its unit and its scale.
+        one: published number that defines the signal, its unit and the scale of the axis.
     """
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
     some, marks = drawn_indices(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))

@@ -1,4 +1,4 @@
-"""Reports on runs: documents, and the events of their logs. Only text and pages need this module; JSON is in `record`.
+"""Reports on runs: documents, and the events that logs contain. Only text and pages need this module; JSON is in `record`.
 
 `describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
 sentences.
@@ -174,7 +174,7 @@ def verdict(run: RunResult) -> Statement:
 
 
 def _when(run: RunResult) -> str:
-    """Returns the time until which linear analysis applies, and the event that ends it, as text."""
+    """Returns, as text, the time until which linear analysis applies and the event after which it does not apply."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
         return "over the whole run"

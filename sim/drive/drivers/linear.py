@@ -57,7 +57,7 @@ class LinearDriver:
                 FEATURES.load("damper ranges").range_of(vehicles, most),
                 command_limiter(vehicles, timestep),
             )
-            self._given = np.zeros((count, m))  # commands at the last sample, which a rate limit needs
+            self._given = np.zeros((count, m))  # commands at the last sample, for the rate limit
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)
         self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))
