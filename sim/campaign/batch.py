@@ -1,6 +1,6 @@
-"""Simulation of a batch of a campaign: many runs simultaneously, each of which gives one row of the results.
+"""Simulation of a batch of a campaign: many runs are simulated together, and each run gives one row of the results.
 
-Metrics are computed while the runs are simulated, and so is the difference from the exact response of the linear sampled loop.
+During the simulation, metrics are computed, and each run is compared with the exact response of the linear sampled loop.
 """
 
 import math
@@ -32,7 +32,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     """Returns True if the linear response of `sim.observers.twin.Twin` is exact for these runs.
 
     The response is exact only for a vehicle without nonlinear springs and dampers, and for linear laws that do not set
-    semi-active dampers. The laws must act without delay, noise and quantisation, or request no force.
+    semi-active dampers. The laws must either act without delay, noise and quantisation, or request no force.
     """
     vehicle = runs[0].vehicle
     linear = all(is_linear(run.controller, run.vehicle) for run in runs)
@@ -41,7 +41,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 
 Rows = list[dict[str, Any]]
-MOST_ROADS = 4096  # largest number of roads whose IRIs are kept in memory; one batch has fewer roads
+MOST_ROADS = 4096  # largest number of roads whose IRIs are kept in memory; this is more than the roads of a batch
 FAILED_LAW = "law: "  # a failure reason that begins with this text means that the run's Python law has failed
 
 
@@ -54,8 +54,8 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
         stopped: function that returns True to abort; called repeatedly during the simulation.
     """
     runs, rows = plan.runs(start, stop), {}
-    # On a random road, measurement starts after the time `settle`, when the transient has decayed. On a bump or a hump, it
-    # starts with the run.
+    # On a random road, measurement starts after the time `settle`, when the transient has decayed. On a bump or a hump,
+    # measurement starts at the beginning of the run.
     alike: dict[tuple[str, bool, bool], list[int]] = {}
     for i, run in enumerate(runs):
         alike.setdefault((run.inputs["controller"], run.choice.stationary, bool(run.choice.loads)), []).append(i)
@@ -75,7 +75,7 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
 
 
 class RowObserver:
-    """Observer of runs: computes the metrics, finds the end of the linear regime, and compares the runs with analysis."""
+    """Observes runs: computes metrics, finds the end of the linear regime, and compares the runs with linear analysis."""
 
     def __init__(self, plan: Plan, runs: Sequence[PlannedRun], batch: Batch) -> None:
         """Prepares the measurement of a batch.
@@ -99,14 +99,14 @@ class RowObserver:
         self._twin = None if twin is None else twin(batch, self._ends, self._linear)
 
     def take(self, block: Block) -> None:
-        """Measures the next block of time steps of all runs."""
+        """Evaluates the next block of time steps of all runs."""
         self._ends.take(block)
         self._meter.update(block.values)
         if self._twin is not None:
             self._twin.take(block)
 
     def result(self) -> list[tuple[RunEnd, dict[str, Any]]]:
-        """Returns for each run when its linear regime ends, and its measured columns."""
+        """Returns, for each run, the end of its linear regime and the columns with its metrics."""
         ends, measured = self._ends.result(), self._meter.result()
         if self._linear is not None:
             measured |= {f"{LINEAR}{name}": each for name, each in self._linear.result().items()}
@@ -149,7 +149,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
 
 
 def end_columns(end: RunEnd) -> dict[str, Any]:
-    """Returns columns of a row: the reason if the run was aborted (else None), and when and why its linear regime ended."""
+    """Returns columns of a row: why the run was aborted (None if it was not), and when and why its linear regime ended."""
     reason = None
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"
@@ -181,7 +181,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns columns for a run over a random road: expected metrics, and the transient left at the start of the measurement.
+    """Returns columns for a run over a random road: expected metrics, and the transient that remains at the start of measurement.
 
     The result is empty if the road has no spectrum.
     """

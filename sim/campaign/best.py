@@ -1,7 +1,7 @@
 """Selects the best controller of a campaign by one metric, within limits on other metrics, and writes it to a vehicle file.
 
 All controllers of the campaign are candidates. If the law of a controller is sampled, each of its variants is a candidate. All
-candidates are simulated over the same roads.
+candidates drive over the same roads.
 """
 
 import math
@@ -63,9 +63,9 @@ class Choice:
     Attributes:
         vehicle: name of the vehicle in the campaign.
         request: request of the user.
-        candidate: selected candidate; None if no candidate has all requested metrics.
-        values: sampled keys of its law, by name; empty if the law is not sampled.
-        numbers: values of the requested metrics, in SI units.
+        candidate: selected candidate; None if no candidate has values for all requested metrics.
+        values: sampled values in the law of the selected candidate, by key; empty if this law is not sampled.
+        numbers: values of the requested metrics for the selected candidate, in SI units.
         within: number of candidates within the limits; if it is 0, `candidate` is the one nearest to the limits.
         count: number of candidates.
     """
@@ -80,7 +80,7 @@ class Choice:
 
     @property
     def misses(self) -> dict[str, float]:
-        """Excess over each limit that the candidate exceeds, by metric, in SI units."""
+        """For each limit that the candidate exceeds: the difference between its value and the limit, by metric, in SI units."""
         limits = self.request.limits.items() if self.candidate is not None else ()
         return {name: self.numbers[name] - limit for name, limit in limits if self.numbers[name] > limit}
 
@@ -205,7 +205,7 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
-    # no candidate keeps all limits; the nearest one has the smallest excess relative to the limit (absolute if the limit is 0)
+    # no candidate is within all limits; the nearest one exceeds them least, relative to each limit (absolute if a limit is 0)
     if best is None:
 
         def excess(one: Candidate) -> float:

@@ -36,7 +36,7 @@ from sim.studies.ride.scores import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # a remark is printed if a road from a file covers a smaller share of the run
-NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect the results of a campaign
+NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect a campaign's results
 
 
 def run_campaign(options: argparse.Namespace) -> int:
@@ -174,7 +174,7 @@ def _cluster(options: argparse.Namespace) -> AbstractContextManager[None]:
 
 
 def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stages) -> Progress:
-    """Simulates the runs that have no row in the results folder, and joins the files of all batches."""
+    """Simulates the runs without a row in the results folder, and joins the files of all batches."""
     for remark in store.damaged:
         print(f"roadproof: {remark}", file=sys.stderr)
     stage("runs")
@@ -202,7 +202,7 @@ def _merge(campaign: Campaign, folder: Path) -> None:
         InputError: parts overlap, are missing or unfinished, or belong to another campaign or to other versions of the
             packages.
     """
-    # An earlier command merged the parts, but was interrupted while it removed them
+    # An earlier command has merged the parts, but was interrupted while it removed their folders
     if (folder / RESULTS).exists() and (folder / NAME).exists():
         return
     some = parts.there(folder)
@@ -241,7 +241,7 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """Returns the number of runs, the findings of `verify`, and a remark if the campaign file has changed or no longer exists."""
+    """Returns the number of runs, the findings of `verify`, and a remark if the campaign file was changed or deleted."""
     manifest = read_manifest(folder, FINISHED_ADVICE) if folder.is_dir() else None
     if manifest is None:
         raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED_ADVICE}")

@@ -1,7 +1,7 @@
-"""The controllers of a campaign, which are designed when the campaign begins and do not change while the campaign continues.
+"""The controllers of a campaign, which are designed when the campaign begins and stay the same until it ends.
 
-The results folder stores the gains, but not laws in Python. The files of these laws must not change while the campaign
-continues.
+The results folder contains the gains, but not the code of laws in Python. The files of these laws must not change before the
+campaign ends.
 """
 
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
 
 
 def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
-    """Returns the plan of the runs, with the controllers from the beginning of the campaign and the sampled laws.
+    """Returns the plan of the runs, with the controllers designed at the beginning of the campaign, and with the sampled laws.
 
     This function does not run any law in Python.
 
@@ -94,7 +94,7 @@ def _restore_controller(designer: Designer, name: str, entry: Mapping[str, Any])
 
 
 def _draw_controller(designer: Designer, name: str, values: Values) -> AnyController:
-    """Returns a controller with sampled values of its law."""
+    """Returns a controller in which sampled values replace parameters of its law."""
     entry = drawn_entry(designer.vehicle, name, values)
     law = entry.law
     return entry.driver(no_design if law is None else lambda name: designer.certify(name, entry.measured, law, entry.hardware))

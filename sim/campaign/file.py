@@ -1,6 +1,6 @@
 """Reading of a campaign file (TOML).
 
-The file lists vehicles, controllers, roads, speeds and seeds, all of which are combined, and the parameters to sample.
+The file lists parameters to sample, and vehicles, controllers, roads, speeds and seeds, which the campaign combines.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ from sim.runs.sampled_vehicle import with_sample
 
 SETTLE = 5.0  # s; within this time, the variance of a mode that decays at 0.5 1/s reaches 99 % of its final value
 Texts = tuple[str, ...]
-# examples of values, which error messages show
+# examples of valid values, which error messages quote
 EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")
 FILE_POINTS = {
     Profile: ("distance", "heights"),
@@ -51,7 +51,7 @@ def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> str:
-    """Returns a road as text in the syntax of `--road`, from such a text or from a table with `type`."""
+    """Converts a road to the syntax of `--road`; the file gives the road in this syntax or as a table with the key `type`."""
     if isinstance(value, Mapping):
         if value.get("type") not in ROAD_KINDS or value["type"] in OBSTACLES:
             read_road(HERE, value)
@@ -91,13 +91,13 @@ class Campaign:
         controllers: names of the controllers; every vehicle must have all of them.
         roads: requested roads.
         speeds: speeds of the vehicles [m/s].
-        seeds: seeds of the random roads. Any other road is simulated once.
+        seeds: seeds of the random roads. A road that is not random is simulated only once.
         duration: duration of every run [s].
         settle: duration of the initial part of a run that is not measured [s], for random roads. Runs over other roads are
             measured from the start.
         timestep: timestep of the simulation [s].
-        samples: samples of each vehicle's parameters: values [SI] by name. If nothing is sampled, there is a single empty sample.
-        variants: variants of each sampled law, by vehicle and controller: values by key of the law.
+        samples: samples of each vehicle's parameters, with values [SI] by name; a single empty sample if nothing is sampled.
+        variants: variants of each sampled law, by vehicle and controller; each variant maps keys of the law to values.
         sample_seed: seed of samples and variants.
         text: text of the campaign file.
         earlier: True to repeat a campaign of an earlier version, see `RoadInput.earlier`.
@@ -204,12 +204,12 @@ def _parse(text: str, folder: Path) -> Campaign:
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Checks that a list contains nothing twice, whatever its spelling, because its runs would count twice.
+    """Checks that a list contains no duplicates, even with different spelling, because their runs would count twice.
 
     Args:
         key: key of the list in the campaign file.
-        written: entries as in the file.
-        read: entries in a form that is equal for equal content.
+        written: entries as written in the campaign file.
+        read: entries in a normal form, in which entries with the same content are equal.
     """
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
@@ -219,7 +219,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
 
 
 def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
-    """Returns a key that is equal for equal roads, even if their texts differ."""
+    """Returns a key that identifies a road; two texts that describe the same road have the same key."""
     alone = replace(road, loads=())
     of_road = _file_checksums(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
     return (*of_road, *(load.content for load in road.loads))

@@ -1,7 +1,7 @@
 """Keys of a control law that a campaign can sample: parameters of a semi-active law, entries of a gain or of a law's matrices.
 
-A sampled law is read in the same way, and with the same limits, as a section of a vehicle file. A sampled law can therefore be
-written to a vehicle file.
+Sampled keys are read like a section of a vehicle file, and have the same limits. A sampled law can therefore be written to a
+vehicle file.
 """
 
 import unicodedata
@@ -29,7 +29,7 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
 
 
 def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> dict[str, Any]:
-    """Returns the section of a controller with sampled values, for TOML.
+    """Returns a controller's section of the vehicle file, with sampled values, to be written as TOML.
 
     Goals and certificate are omitted, because they belong to the original law.
     """
@@ -38,7 +38,7 @@ def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) ->
 
 
 def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> ControllerEntry:
-    """Returns the entry of a controller with sampled values of its law.
+    """Returns the controller's entry in the vehicle file, with sampled values in its law.
 
     Raises:
         InputError: a value is not allowed.

@@ -17,7 +17,7 @@ from synth.controller.controller import AnyController
 
 NAME, RESULTS, LOCK, PARTS = "plan.json", "results.parquet", ".lock", "parts"
 PARTIAL_FILES = ".*.part*"  # pattern of incomplete files, which remain if a process is killed while it writes, see `whole_file`
-EARLIER = "campaign.json"  # file name of the campaign's plan in results of Roadproof 0.1
+EARLIER = "campaign.json"  # file name that Roadproof 0.1 used for the plan of a campaign
 FULL = "free some space, or give another folder with --results; finished runs are kept"
 ELSEWHERE = "give a new or empty folder with --results"
 
@@ -62,7 +62,7 @@ class Manifest:
         return self
 
     def publish(self, folder: Path) -> "Manifest":
-        """Creates a folder with this plan, unless another process creates the folder first; returns the plan in the folder.
+        """Creates a folder with this plan, unless another process creates it first; returns the plan that is then in the folder.
 
         Raises:
             InputError: the folder cannot be created.
@@ -131,7 +131,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
 
 
 def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Returns the gains by vehicle and controller as JSON objects, with all digits; for a law in Python, its checksum."""
+    """Returns the gains (for a law in Python, the checksum) by vehicle and controller as JSON objects, with all digits."""
     return {
         vehicle: {name: {key: value for key, value in one.record.items() if key != "name"} for name, one in some.items()}
         for vehicle, some in controllers.items()

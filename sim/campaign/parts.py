@@ -24,7 +24,7 @@ AGAIN = "remove this folder, and run its part again"
 
 @dataclass(frozen=True, order=True)
 class CampaignPart:
-    """A part of a campaign.
+    """One of the parts into which a campaign is divided.
 
     Attributes:
         of: total number of parts.
@@ -69,7 +69,7 @@ def there(folder: Path) -> list[CampaignPart]:
 
 
 def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
-    """Checks that all parts have the same total number of parts. Otherwise, two parts contain the same runs.
+    """Checks that all parts have the same total number of parts. If the numbers differ, two parts contain the same runs.
 
     Raises:
         InputError: two parts overlap.
@@ -87,7 +87,7 @@ def unfinished_parts(folder: Path, of: int) -> list[int]:
 
 
 def parts_text(numbers: Sequence[int], of: int) -> str:
-    """Returns a text that lists parts by number, such as "parts 4, 7-9 of 40"."""
+    """Lists the numbers of parts as text, such as "parts 4, 7-9 of 40"."""
     runs = [[number for _, number in some] for _, some in itertools.groupby(enumerate(numbers), lambda one: one[1] - one[0])]
     said = ", ".join(f"{run[0]}-{run[-1]}" if run[1:] else str(run[0]) for run in runs)
     return f"part{'s' * (len(numbers) > 1)} {said} of {of}"
@@ -105,10 +105,10 @@ def begin(folder: Path, part: CampaignPart, plan: Manifest) -> None:
 
 
 def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, versions: Mapping[str, str]) -> None:
-    """Checks that the folder of a part belongs to this campaign and has the same gains and versions.
+    """Checks that the folder of a part belongs to this campaign, with the campaign's gains and package versions.
 
     Raises:
-        InputError: the folder contains another part, or its campaign, gains or versions differ.
+        InputError: the folder contains another part, or belongs to another campaign, other gains or other package versions.
     """
     own = part.folder(folder)
     manifest = read_manifest(own, AGAIN)

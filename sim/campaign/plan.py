@@ -28,7 +28,7 @@ RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16
 # smallest number of consecutive runs in a part of a campaign; parts are smaller only if the campaign has too few runs
 TOGETHER = 64
-MOST_ROUNDS = 64  # each part of a campaign has at most this many intervals of consecutive runs
+MOST_ROUNDS = 64  # largest number of intervals of consecutive runs in one part of a campaign
 # ascending intervals (start, stop) of run numbers; run `stop` itself is not part of its interval
 Runs = Sequence[tuple[int, int]]
 
@@ -141,7 +141,7 @@ class Plan:
         return [block.start for block in self.blocks]
 
     def place(self, run: int) -> tuple[RunBlock, int, int, int]:
-        """Returns the block that contains a run, and the indices of the run's variant, sample and seed in this block."""
+        """Returns the block that contains a run, and the run's indices of variant, sample and seed within this block."""
         block = self.blocks[bisect_right(self._starts, run) - 1]
         variant, sample, seed = map(int, np.unravel_index(run - block.start, block.shape))
         return block, variant, sample, seed
@@ -201,7 +201,7 @@ class Plan:
                 start = end
 
     def inputs(self, run: int) -> dict[str, Any]:
-        """Returns the columns of a row of the results that describe the inputs of its run."""
+        """Returns those columns of a results row that describe the inputs of its run."""
         block, variant, sample, seed = self.place(run)
         law = block.variants[variant] if block.variants else None
         return {
@@ -236,7 +236,7 @@ class PlannedRun:
         inputs: columns of the results that describe the inputs of the run.
         vehicle: vehicle with the sampled values.
         controller: controller of the run.
-        choice, road: road as requested in the campaign file, and the road itself for this vehicle, speed and seed.
+        choice, road: the road as requested in the campaign file, and the resulting road for this vehicle, speed and seed.
     """
 
     inputs: Mapping[str, Any]
@@ -272,7 +272,7 @@ class Progress:
 
         Args:
             runs: number of finished runs.
-            took: time that one worker spent on these runs [s].
+            took: simulation time of these runs on one worker [s].
         """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs

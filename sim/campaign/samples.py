@@ -66,8 +66,8 @@ class Sampler:
         Args:
             where: section of the table and name of the vehicle, for messages.
             table: distributions by name.
-            own: values in the vehicle file of all parameters that can be sampled; None for a parameter without a value.
-                Relative distributions are multiples of these values.
+            own: value in the vehicle file of each parameter that can be sampled; None for a parameter without a value. Relative
+                distributions are multiples of these values.
             check: function that raises InputError if a value is not allowed.
             units: units of the parameters that have a unit, by name.
 
@@ -182,7 +182,7 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     """Reads a distribution.
 
     Returns:
-        True if the distribution is relative to the value in the vehicle file, its smallest and largest value, and its quantile
+        Whether the distribution is relative to the value in the vehicle file; its smallest and largest values; and its quantile
         function.
     """
     give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}; relative = true may be added"

@@ -31,7 +31,7 @@ class Store:
     Attributes:
         folder: folder of the results.
         schema: columns of the results.
-        share: numbers of the runs in the finished results, as ascending (start, stop).
+        share: numbers of the runs that the finished results contain, as ascending intervals (start, stop).
         parts: complete files of batches, by the number of the first run; each entry contains the number after the last run, and
             the path.
         damaged: a sentence for each incomplete file, whose runs are simulated again.
@@ -138,7 +138,7 @@ class Store:
         self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
-        """Returns the columns with these names. The columns contain all rows that exist so far.
+        """Returns the columns with these names, for all rows that exist so far.
 
         Raises:
             InputError: a file is damaged, or another version of Roadproof wrote it with other columns.
@@ -147,7 +147,7 @@ class Store:
         return pa.concat_tables([_read(path, names) for path in paths] or [self.schema.empty_table().select(list(names))])
 
     def _has(self, path: Path, runs: Runs) -> bool:
-        """Returns True if a file is complete and contains these runs and all columns."""
+        """Returns True if a file is complete, and contains exactly these runs and all columns."""
         try:
             return _are_runs(_read(path, ["run"], self.schema.names), runs)
         except InputError:

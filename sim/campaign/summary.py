@@ -38,13 +38,13 @@ LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for o
 
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics in the table by name: ride, travel and dynamic load. The table shows the worst column of each."""
+    """Returns the metrics in the table by name: ride, travel and dynamic load. The table shows each metric's worst column."""
     headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
     return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
-    """Returns the scores of all candidates by vehicle, each over all of its runs. The passive vehicle comes first."""
+    """Returns the score of each candidate over all its runs, by vehicle. The passive vehicle comes first."""
     scores: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
@@ -68,7 +68,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
     Args:
         campaign: the campaign. Runs over random roads are measured after the `settle` time of the campaign.
         scores: scores over all runs, see `compare`.
-        chosen: a candidate of each vehicle that its table always contains; None for no such candidate.
+        chosen: candidate of each vehicle that the vehicle's table always contains; None if there is no such candidate.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
     begins = f", random roads measured from {campaign.settle:g} s on (settle)" if settles else ""
@@ -99,7 +99,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     for random roads, and the linear response for other roads. Laws in Python have no prediction.
 
     A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run was aborted.
-        Aborted runs have no metrics: neither their results nor their predictions count. Runs whose law failed have no metrics
+    Aborted runs have no metrics, and are left out of the results and of the predictions. Runs whose law failed have no metrics
     either. For a sampled law, the entry also contains the root mean squares of each variant.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
@@ -172,9 +172,9 @@ def _standard_error(values: Array) -> float | None:
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
-# text that names a road and a speed, and the ride with each controller on this road
+# text that names the road and the speed, and the ride of each controller over this road
 Rides = tuple[str, Mapping[str, float | None]]
-Line = tuple[str, Mapping[str, Any]]  # key of `LINES`, and the matching entry of `summarise`
+Line = tuple[str, Mapping[str, Any]]  # key of `LINES` that selects the metric, and the entry of `summarise`
 STATISTICS = tuple(
     Field[Line](label, lambda row, key=key: row[1][row[0]][key], ".4g")
     for label, key in (("rms", "rms"), ("95 %", "p95"), ("predicted", "predicted"))
@@ -183,12 +183,12 @@ COUNTS = tuple(
     Field[Line](label, lambda row, key=key: row[1].get(key, 0), ".0f", key=key)
     for label, key in (("runs", "runs"), ("left linear", "left"), ("ended early", "broke_off"), ("failed", "failed"))
 )
-FEW = 3  # with at most this many controllers, the sentence gives the number of runs for each controller
+FEW = 3  # largest number of controllers for which a sentence always lists every controller's number of runs
 SEEN = 6  # largest number of rows, and of columns, in the table of the ride
 
 
 def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
-    """Returns the printed results: ride on each road (if there are few), runs that left the linear regime, and details.
+    """Returns the printed results: ride on each road (if there are few roads), runs that left the linear regime, and details.
 
     The details, one table for each road and speed, are printed only with `-v`.
 
@@ -247,7 +247,7 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Returns the sum of the counts in a controller's entries, with the first reason and the first failure."""
+    """Adds up the counts in a controller's entries for all roads; also returns the first reason and the first failure."""
     whole: dict[str, Any] = dict(entries[0])
     whole |= {one.key: sum(entry[one.key] for entry in entries) for one in COUNTS if one.key in whole}
     reasons = {key: [entry[key] for entry in entries if entry.get(key)] for key in ("first_reason", "first_failure")}
@@ -330,7 +330,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Returns the points (dynamic load, ride) of a controller, or of each variant of its law, if both numbers exist."""
+    """Returns the points (dynamic load, ride) of a controller or, for a sampled law, of each variant, if both numbers exist."""
     ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
     return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 

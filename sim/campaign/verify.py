@@ -15,7 +15,7 @@ from sim.campaign.manifest import Gains
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
 
-SAME, ROUNDING = 1e-9, 1e-12  # largest relative and absolute differences that are allowed between the results of two machines
+SAME, ROUNDING = 1e-9, 1e-12  # allowed relative and absolute difference between the results of two machines
 
 
 @one_thread()
@@ -56,7 +56,7 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
 
 
 def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
-    """Yields a sentence if rows are missing, doubled or in the wrong order, or else about the first row with wrong inputs."""
+    """Yields a sentence if rows are missing, duplicated or in the wrong order, else about the first row with wrong inputs."""
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
         few = f"the results have {len(table)} rows for {plan.count} runs"
         yield few if len(table) != plan.count else "the rows of the results are not in the order of the runs"
@@ -78,7 +78,7 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
         run: name of the run in the sentence.
         there: row of the results.
         now: expected values.
-        where: origin of the expected values in the sentence.
+        where: words in the sentence that state the origin of the expected values.
     """
     wrong = [name for name, value in there.items() if not _same(value, now.get(name))]
     if wrong:

@@ -16,9 +16,9 @@ from sim.campaign.plan import Plan
 
 # number of the first run in a batch, the rows of the batch, and the time that it took [s]
 BatchResult = tuple[int, Rows, float]
-ANSWER = 3.0  # s, longest time to wait for an answer from the head of a cluster
+ANSWER = 3.0  # s, longest time to wait until the head node of a cluster answers
 TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
-RETRIES = 5  # largest number of times that a batch is repeated because its Ray worker died
+RETRIES = 5  # largest number of repetitions of a batch whose Ray worker has died
 
 
 @one_thread()
@@ -97,7 +97,7 @@ def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchRes
     try:
         while True:
             most = max(1, int(ray.cluster_resources().get("CPU", 1))) * AHEAD
-            # `most` decreases if a node leaves the cluster, so the largest number is kept
+            # if a node leaves the cluster, `most` may fall below the number of running batches; no batch is then added
             for start, end in itertools.islice(batches, max(0, most - len(running))):
                 running[remote.remote(shared, start, end)] = start
             if not running:

@@ -76,7 +76,7 @@ def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: fl
 
 
 def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, list[str]]:
-    """Returns a JSON object that lists the requested controllers without a simulation; empty if all were simulated."""
+    """Returns a JSON object that lists the requested controllers that were not simulated; empty if all were simulated."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
 
@@ -100,7 +100,7 @@ def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
 
 
 def _first(claims: Sequence[str]) -> str:
-    """Returns a text with the first claim and the number of further claims."""
+    """Returns the first of several claims that do not hold, and the number of the other claims, as text."""
     return f"{claims[0]}, and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -122,7 +122,7 @@ def record_command_runs(
         vehicle: vehicle of the runs.
         controllers: names of the simulated controllers.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
-        result: function that returns the result for `--json`; called only if logs are written.
+        result: function that returns the result of the command, as for `--json`; called only if logs are written.
         measured: measured signals over the time of the runs, if any.
 
     Returns:
@@ -160,13 +160,13 @@ def write_histories(
 
 
 def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, heading: bool = True) -> list[str]:
-    """Returns the printed lines about recorded files and how to open them; empty if nothing was recorded.
+    """Returns the printed lines that list the recorded files and explain how to open them; empty if nothing was recorded.
 
     Args:
         logs: recorded files by type, one mapping for each vehicle. For several vehicles, the result is a single line with the
             folder.
         brief: True to return no lines.
-        heading: True for an empty line and a heading above the paths.
+        heading: True to print an empty line and a heading above the paths.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
     if brief or not any(paths):

@@ -1,4 +1,4 @@
-"""Runs of one vehicle file in a command that drives."""
+"""Runs of one vehicle file in `sim.bump` or `sim.drive`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +25,8 @@ class VehicleRuns:
         vehicle: vehicle of the file.
         title: title of the vehicle in printed results; empty if there is only one vehicle.
         names: requested controllers.
-        runs: runs with the whole vehicle file, then the runs in which a part of the vehicle is omitted (`--without`).
-        without: omitted part for each run, such as noise; empty for runs with the whole vehicle file.
+        runs: runs of the whole vehicle, then the runs in which a part of the vehicle is omitted (`--without`).
+        without: the part of the vehicle that is omitted in each run, such as noise; empty if no part is omitted.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
         fits: comparison of each run with a measured log; empty without a log.

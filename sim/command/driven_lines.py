@@ -40,8 +40,8 @@ def driven_lines(
         driven: runs of each vehicle.
         where: text that describes the road.
         scores: rows of the table of controllers.
-        about: description of the measured time.
-        response: document about the response to a step; empty for other roads.
+        about: description of the time over which the ride is measured.
+        response: document about the step response; empty if the road is not a step.
         below: lines between the table and the verdicts, such as paths of files.
     """
     shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
@@ -61,7 +61,7 @@ def driven_lines(
         for each in driven:
             for run, plain, own in zip_longest(each.named_runs, each.runs, each.metrics):
                 one = describe_run(run, None if run.physics is each.passive else each.passive)
-                blocks = one.blocks[1:]  # the first block is omitted, because the verdicts are the last lines of the command
+                blocks = one.blocks[1:]  # the first block is the verdict, which the command prints at its end
                 if ride is not None:
                     blocks = (*blocks, *notes(*ride.basis(run, own)))
                     below_table += [{"vehicle": each.title} | cells for cells in ride.expected_cells(plain, own)]
@@ -88,7 +88,7 @@ def driven_lines(
 
 
 def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
-    """Returns the printed table of norms and checks, with as many runs as fit, and a line about the omitted details.
+    """Returns the printed table of norms and checks, with as many runs as fit, and a line that lists the omitted details.
 
     Args:
         runs: all runs.
@@ -105,7 +105,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
 
 
 def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]:
-    """Returns the printed lines about the start of runs whose ride is measured."""
+    """Returns the printed lines about how runs start, if their ride is measured."""
     lines = list[str]()
     for each in driven:
         if each.metrics:

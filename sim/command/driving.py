@@ -175,7 +175,7 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
 
 
 def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> VehicleRuns:
-    """Simulates the controllers of a vehicle file, with all parts of the vehicle and with each part of `--without` omitted."""
+    """Simulates the controllers of a vehicle file with the whole vehicle, then without each part that `--without` lists."""
     design = Designer(vehicle, search=False).design
     runs = list(comparison.run_named(vehicle, names, design, road, time, options.exported))
     drivers, parts = {run.controller.name: run.controller for run in runs}, [""] * len(runs)

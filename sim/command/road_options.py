@@ -83,7 +83,7 @@ def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
     """Returns a line that lists the omitted controllers and explains how to include them; empty if none is omitted.
 
     Args:
-        one: True for a command that accepts only one controller.
+        one: True if the command accepts only one controller.
     """
     if one and names:
         return [f"other controllers: {', '.join(names)}; choose one with --controller NAME"]
@@ -193,7 +193,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 
 def gaps(road: "Road", duration: float) -> list[str]:
-    """Returns remarks about the points of a road from a file: a wide gap, or heights that are implausible for a road.
+    """Returns remarks about a road from a file: a wide gap between its points, or heights that are implausible for a road.
 
     Only the part of the road that is driven within `duration` [s] is checked.
     """
@@ -215,7 +215,7 @@ def starts_later(options: argparse.Namespace) -> bool:
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:
-    """Returns printed lines about a road from a file that is shorter or longer than the run; empty if the lengths are equal.
+    """Returns the lines to print if a road from a file is shorter or longer than the run; empty if the lengths are equal.
 
     Args:
         road: road of the run.

@@ -27,7 +27,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: an option, the vehicle file or an output file is invalid, or the study does not support a controller.
     """
-    # Options in a module of their own are a base class: `command:MarginsCommand` is that of `study:MarginsStudy`
+    # Options in a separate module are a base class of the study: `study:MarginsStudy` inherits `command:MarginsCommand`
     own = STUDIES[name].replace(".study:", ".command:")
     command = (STUDIES.load(name) if own == STUDIES[name] else resolve_name(f"{own.removesuffix('Study')}Command"))(name)
     parser = Parser(command_of(name), command.description, command.epilog, command.page)

@@ -21,7 +21,7 @@ from models.common.printed import shell_line
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
 STARTING_TIME = 60.0  # s, longest time to wait until the web viewer answers
-FAILING_TIME = 2.0  # s, time after which the viewer counts as started if its process is still running
+FAILING_TIME = 2.0  # s; if the process of the viewer still runs after this time, the viewer counts as started
 ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a signal; a process that runs longer is killed
 
 
@@ -59,7 +59,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """Returns the last line of a program's output without colour codes, which states why the program failed."""
+    """Returns the last line of a failed program's output, without colour codes. This line states why the program failed."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 

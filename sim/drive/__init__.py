@@ -3,4 +3,4 @@
 Start with `drive.py`.
 """
 
-RUNS_AT_ONCE = 256  # number of runs that are simulated together; more runs would hardly save time
+RUNS_AT_ONCE = 256  # largest number of runs that are simulated together; larger batches would hardly be faster

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of closing velocities of suspensions, and of travels and states of voltage-controlled elements.
+    """Returns the names of the suspensions' closing velocities, and of the travels and states of voltage-controlled elements.
 
     A voltage-controlled element is a force element whose voltage the controller commands. The result is empty if the vehicle has
     no semi-active dampers. See `CoefficientRange.closing`.
@@ -36,9 +36,9 @@ class Actuators:
     """Actuators of N vehicles of one type, all with semi-active dampers at the same suspensions.
 
     Without semi-active dampers, commands are forces [N], shape (N, m). With semi-active dampers, commands have the shape (N, 2
-    m). The first m columns are damping coefficients minus the nominal ones [N s/m], or forces of active actuators [N]. The other
-    m columns are the missing forces. See `CoefficientRange.commands`. MuJoCo applies the force limit and the lag of active
-    actuators.
+    m). The first m columns are damping coefficients minus the nominal ones [N s/m], or forces of active actuators [N]. The
+    other m columns are the missing forces, which the dampers cannot produce. See `CoefficientRange.commands`. MuJoCo applies
+    the force limit and the lag of active actuators.
 
     Attributes:
         forces: number m of forces per run.
@@ -68,7 +68,7 @@ class Actuators:
         self.at_rest = np.pad(self._of.at_rest, (0, more))
         self.closing[: self.forces][adjustable, -readout.stretching_rates.shape[1] :] = -readout.stretching_rates[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
-        # The last actuators of the model are the ramps of damper characteristics. Each ramp receives the command of its damper.
+        # The last actuators of the model are the ramps of damper characteristics. A ramp receives the command of its damper.
         ramps = {
             one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
         }
@@ -76,7 +76,7 @@ class Actuators:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
     def turn(self, closing: Array, deflections: Array) -> None:
-        """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0), in place.
+        """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0). The array is changed in place.
 
         Args:
             closing: closing velocities with the motion ratios in equilibrium, shape (N, m).
@@ -96,7 +96,7 @@ class Actuators:
         return np.concatenate([np.zeros((len(own), 0)), *self._of.of_elements(deflections, own)], axis=-1)
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
-        """Returns the commands of some of the runs, shape (d, size).
+        """Returns the commands for the runs with the given indices, shape (d, size).
 
         Args:
             requested: requests of the runs' driver, see `sim.drive.driver.Driver`.
@@ -117,7 +117,7 @@ class Actuators:
             controls[:, -len(self._ramps) :] = commands[:, self._ramps]
 
     def record(self, values: Array, commands: Array, activations: Array) -> None:
-        """Writes the signals of semi-active dampers to the signals of several samples.
+        """Writes the signals of semi-active dampers into the signal array of several samples.
 
         Args:
             values: signals of the samples, shape (B, S, N), changed in place.

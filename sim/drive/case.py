@@ -37,13 +37,13 @@ class Case:
 
     Attributes:
         vehicle: the vehicle, with its limits and the implementation of its controller.
-        driver: controller of the run, or commands that are known in advance.
+        driver: controller of the run, or recorded commands that replace it.
         road: the road, with the loads on the body if there are any.
-        start: state at the start of the run. None means equilibrium, or the steady motion in which a measured road starts.
+        start: state at the start of the run. If None, the run starts in equilibrium or, on a measured road, in steady motion.
         undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first
             controller; None if there is no second controller.
         earlier: argument of the same name of `RoadInput`.
-        input: the road at the sample times, if it is already computed; otherwise None.
+        input: the road at the sample times, if it was computed before; otherwise None.
     """
 
     vehicle: Vehicle
@@ -73,8 +73,8 @@ class Batch:
         inputs: road input of each case.
         now: road heights at the samples [m], shape (T, N, r).
         midway: road heights at which MuJoCo holds the road during each step [m], shape (T, N, r).
-        beyond: road heights at the E samples after the end of the run that controllers preview [m], shape (E, N, r).
-        velocities: rates of the road heights at the samples [m/s], shape (T, N, r); None if they are not needed.
+        beyond: road heights at those E samples after the end of the run that controllers preview [m], shape (E, N, r).
+        velocities: rates of change of the road heights at the samples [m/s], shape (T, N, r); None if not needed.
         held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
             r); None if there are none.
         effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None if
@@ -191,7 +191,7 @@ ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput` t
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Returns the road inputs, where equal ones share one object, so that the heights under the wheels are computed only once."""
+    """Returns the road inputs. Equal inputs become one object, so that the heights under the wheels are computed only once."""
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]

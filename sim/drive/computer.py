@@ -17,7 +17,7 @@ class Computer:
     """Computer that runs the driver of several runs, as described in `[implementation]` of their vehicles.
 
     A measurement is quantisation * round((signal + noise) / quantisation). The resulting commands act `delay` samples later;
-    this number may be a fraction. A rate limit acts on the commands before the delay. Commands are 0 until the first ones
+    `delay` need not be an integer. A rate limit acts on the commands before the delay. Commands are 0 until the first ones
     arrive. The states of the driver are not delayed.
 
     Attributes:
@@ -42,7 +42,7 @@ class Computer:
         """Starts the driver for its n vehicles.
 
         Args:
-            vehicles, how: vehicle and implementation of each of the n runs.
+            vehicles, how: the vehicle and the controller implementation of each of the n runs.
             actuators: actuators of all runs of the batch.
             names: names of the signals that `step` receives, without the closing velocities that follow them.
             heights: road heights of these runs at the time steps, and beyond the end of the runs as far as the driver previews
@@ -58,7 +58,7 @@ class Computer:
         whole = (*names, *closing)
         self._places, self._signals = np.array([whole.index(name) for name in driver.measured], dtype=int), len(names)
         self._late, self._each = np.array([round(one.delay * self.period) for one in how]), np.arange(len(how))
-        # for each time step of a sample period, True if a command arrives at it
+        # for each time step of a sample period, True if a delayed command begins to act at this step
         self._changes = np.zeros(self.period, dtype=bool)
         self._changes[self._late % self.period] = True
         most = max(one.pending_forces for one in how)
@@ -71,7 +71,7 @@ class Computer:
         self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
 
     def resume(self, starts: Mapping[int, tuple[Array, Sequence[Array] | Array]], commands: Array) -> None:
-        """Sets the states and pending forces at the start of runs, and the commands that act until the first new ones arrive.
+        """Sets the states and pending forces at the start of runs, and the commands that act until the first new commands arrive.
 
         Args:
             starts: state of the driver and pending forces of each run that does not start in equilibrium, by index in the
@@ -86,7 +86,7 @@ class Computer:
                 commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
-        """Sets the commands of time step k from the signals and closing velocities at its start.
+        """Sets the commands for time step k from the signals and closing velocities at the start of this step.
 
         Args:
             k: index of the time step.
@@ -142,7 +142,7 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation of a controller, without the effects that the law or its code already contains.
+    """Returns a controller's implementation, without those effects that the law or its code already contains.
 
     Known commands have no implementation.
     """

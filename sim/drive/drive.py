@@ -26,20 +26,20 @@ from sim.drive.loop import Block, Loop
 from sim.drive.regime import BLOCK
 from sim.drive.sensor_readout import hardware, reads_out
 
-# Smallest number of runs per thread. Only one thread at a time can execute the NumPy code between two steps, and with fewer
-# runs this code takes as long as the steps.
+# Smallest number of runs per thread. Only one thread at a time can execute the NumPy code between two steps. With fewer runs
+# per thread, this code takes as long as the steps.
 FEWEST = 4
 
 
 class Observer(Protocol):
-    """Object that receives the samples of a batch. Observers are created by functions of the `Batch`."""
+    """Object that receives and evaluates the samples of a batch. Observers are created by functions of the `Batch`."""
 
     def take(self, block: Block) -> None:
         """Receives the next block of samples."""
         ...
 
     def result(self) -> Sequence[Any]:
-        """Returns the result of each of the N runs after the last block."""
+        """Returns the result of each of the N runs; called after the last block."""
         ...
 
 
@@ -96,7 +96,7 @@ def drive(
 
 
 def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
-    """Returns the indices of the cases that can be stepped together, group by group."""
+    """Groups the cases that can be stepped together; returns the indices of the cases in each group."""
     distinct = {id(one.vehicle): one.vehicle for one in cases}
     if len(distinct) == 1:
         return [[*range(len(cases))]]
@@ -136,7 +136,7 @@ def _results_of(
 def _complete_blocks(loop: Loop, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
     """Yields the blocks with road velocities and steady motion added.
 
-    The values of diverged runs are replaced by finite values.
+    Values of diverged runs that are too large or not finite are replaced by finite values.
     """
     kind, end = batch.vehicles[0].kind, 0
     names = [signal.name for signal in kind.signals]

@@ -50,15 +50,15 @@ class Driver(Protocol):
 
     @property
     def ahead(self) -> int:
-        """Number P of road heights that the driver receives for each wheel, including the present height; 0 without preview."""
+        """Number P of road heights that the driver receives for each wheel, including the present height; 0 for no preview."""
         ...
 
     @property
     def requests(self) -> str:
         """Meaning of the requests that `step` returns.
 
-        "forces" [N], and "coefficients" of all dampers [N s/m], have shape (N, m), and the actuators limit them. "commands" are
-        applied unchanged, see `sim.drive.actuators.Actuators`.
+        "forces" [N] and damping "coefficients" of all dampers [N s/m] have shape (N, m), and the actuators limit them.
+        "commands" are applied unchanged, see `sim.drive.actuators.Actuators`.
         """
         ...
 
@@ -85,7 +85,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RecordedForces(ControlLaw):
-    """Commands that are known in advance and do not depend on the measurements.
+    """Recorded commands, which do not depend on the measurements.
 
     Attributes:
         measured: measurements of the original controller.
@@ -113,7 +113,7 @@ class Failure:
 
     Attributes:
         why: reason, as one line of text.
-        together: True if one call of the law was for several runs, so that another run may have caused the failure.
+        together: True if the failed call of the law served several runs, so that another run may have caused the failure.
     """
 
     why: str

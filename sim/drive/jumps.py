@@ -47,7 +47,7 @@ def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
 
 
 class Jumps:
-    """Jumps of forces and accelerations for N runs with the same vehicle type, block by block."""
+    """Computes the jumps of forces and accelerations for N runs with the same vehicle type, block by block."""
 
     def __init__(self, vehicles: Sequence[Vehicle], signals: Sequence[str]) -> None:
         """Prepares the jumps of the given output signals."""
@@ -64,8 +64,8 @@ class Jumps:
             range_of = FEATURES.load("damper ranges").range_of
             self.elements = {forces[one.column]: one for one in range_of(vehicles).elements}
         self.places = index
-        # Velocity of each damper's suspension: the factors by which the states are multiplied, by state index. All vehicles in
-        # a batch have the same geometry.
+        # Each damper's suspension velocity is a sum of states times factors, which are stored by state index. All vehicles in a
+        # batch have the same geometry.
         rows = {
             force: one.ratio * model.A[model.states.index(vehicle.kind.deflection_of(force))] for force, one in dampers.items()
         }
@@ -89,7 +89,7 @@ class Jumps:
         self.before: dict[int, Array] = {}  # last sample of the previous block, by index of the signal, shape (N, 1)
 
     def __call__(self, values: Array) -> dict[str, Array]:
-        """Returns the jumps of each signal that jumps, shape (N, B), for the next block of signals, shape (B, S, N)."""
+        """Returns the jumps of all signals that can jump, shape (N, B) each, for the next block of signals, shape (B, S, N)."""
         # Motion ratios of suspensions whose ratio changes with travel, relative to the ratio in equilibrium, shape (N, B).
         ratios = {force: self.ratios.turn(force, values[:, place]).T for force, place in self.along.items()}
         of_force = {force: self._jump(force, values, ratios.get(force, 1.0)) for force in self.index}

@@ -1,4 +1,4 @@
-"""Simulation loop of N runs in MuJoCo, in blocks of samples: measurements, commands, steps, and recorded signals."""
+"""Simulation loop of N runs in MuJoCo, which works in blocks of samples: measurements, commands, steps, and recorded signals."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's Python bindings have no type stubs.
@@ -50,8 +50,8 @@ class Block:
         values: all signals except the road velocity, which remains 0, shape (B, S, N). The last axis is the runs.
         qpos: MuJoCo's generalised positions, shape (B, N, nq).
         qvel: MuJoCo's generalised velocities, shape (B, N, nv).
-        largest: largest magnitude of the signals (without missing forces) and of the requested forces that no limit clips,
-            shape (B, N).
+        largest: largest magnitude of all signals (except missing forces) and of all requested forces without a limit, shape (B,
+            N).
         overflowed: True if a requested force or a state of the law is not finite, shape (B, N).
         requested_force: commands of the actuators, see `sim.drive.actuators`, shape (B, N, m) or (B, N, 2 m).
         law_states: states of linear laws at their last sample, shape (B, N, k), where k is the largest number of states.
@@ -98,7 +98,7 @@ class Block:
         return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed
 
     def clip(self, gone: Array) -> None:
-        """Clips the values at the samples of a mask to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0.
+        """Clips the values at some samples to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0.
 
         Args:
             gone: True at the samples to clip, shape (B, N).
@@ -110,7 +110,7 @@ class Block:
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """Returns the largest useful number of runs in a batch, so that the road heights fit into memory.
+    """Returns the largest useful number of runs in a batch whose road heights fit into memory.
 
     Args:
         samples: number of samples per run.
@@ -120,7 +120,7 @@ def runs_at_once(samples: int, wheels: int) -> int:
 
 
 class Loop:
-    """Simulation loop: measure, compute the commands, apply them, move the road, step.
+    """Simulation loop, with five tasks per step: measure, compute commands, apply commands, move the road, and step MuJoCo.
 
     The results of a run are reproducible bit for bit. The results do not depend on the other runs in the batch, the number of
     threads, or the size of the blocks. For this reason, no matrix product may have an order of summation that depends on the
@@ -128,7 +128,7 @@ class Loop:
     """
 
     def __init__(self, cases: Sequence[Case], timestep: float) -> None:
-        """Prepares the data that all batches of some cases share."""
+        """Prepares the data that all batches of the given cases share."""
         self.timestep = timestep
         self.model, self.readout = prepared_readout(cases[0].vehicle, timestep)
         distinct = {id(one.vehicle): one.vehicle for one in cases}
@@ -138,8 +138,8 @@ class Loop:
             one_of = {self.hardware[key]: other for key, other in distinct.items()}
             if len(one_of) > 1:
                 self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
-        # A signal is measured before a step. A signal that is linear in the state is computed from the state; any other is read
-        # from its sensor. The contribution of the road is added where the state or the sensor does not include it.
+        # A signal is measured before a step. A signal that is linear in the state is computed from the state; any other signal
+        # is read from its sensor. The contribution of the road is added where the state or the sensor does not include it.
         readout = self.readout
         controllers = [one for case in cases for one in (case.driver, case.undelayed_controller) if one is not None]
         named = {name for one in controllers for name in one.measured}
@@ -171,7 +171,7 @@ class Loop:
         how: Sequence[Implementation],
         actuators: Actuators,
     ) -> list[Computer]:
-        """Returns the started computers of runs: one for each type of driver and sample period, and none for passive runs."""
+        """Starts the computers of runs: one for each type of driver and sample period, and none for passive runs."""
         timestep, roads = batch.timestep, np.concatenate([batch.now, batch.beyond]) if len(batch.beyond) else batch.now
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
@@ -259,7 +259,7 @@ class Loop:
         pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.load_dofs), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of `held_inputs` that contain road velocities
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
-        # In runs with loads, the load within a step differs from the load at the sample, and so do the accelerations.
+        # In runs with loads, the load within a step differs from the load at the sample, so the accelerations also differ.
         late = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) > int(mujoco.mjtStage.mjSTAGE_VEL)
         loaded = np.zeros(count, dtype=bool) if held is None else held[..., :loads].any(axis=(0, 2))
         at_sample = np.ix_(late, loaded)
@@ -358,7 +358,7 @@ class Loop:
 
 
 class _Signals:
-    """Signals at the samples, from MuJoCo's sensors, which are evaluated within or before a step."""
+    """Computes the signals at the samples from MuJoCo's sensors, which are evaluated within or before a step."""
 
     def __init__(self, loop: Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
         readout, first = loop.readout, vehicles[0]
@@ -400,7 +400,7 @@ class _Signals:
         return values
 
     def extremes(self, values: Array, commands: Array, law_states: Array) -> tuple[Array, Array]:
-        """Returns `Block.largest` and `Block.overflowed`."""
+        """Returns the values of `Block.largest` and `Block.overflowed` for a block."""
         physical = values[:, self.physical]
         largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
         overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(law_states).all(axis=2)))

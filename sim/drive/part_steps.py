@@ -25,11 +25,10 @@ from sim.drive.recursion import SHARES, WEIGHTS
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
 STAGE_WEIGHTS = np.reshape(WEIGHTS, (-1, 1, 1))
-# N; force with which the response of the accelerations to a force is computed. The response is linear, and a large force
-# reduces rounding errors.
+# N; force that is applied to find how accelerations respond to a force. The response is linear, and a large force reduces
+# rounding errors.
 UNIT = 1024.0
-# s; the change of lever arms is computed over this time along the present velocities; the error is proportional to the square
-# of the time
+# s; time over which the change of lever arms is computed along the present velocities; the error is proportional to its square
 NEARBY = 1e-5
 
 
@@ -52,7 +51,7 @@ class PartBatch(Batch):
 
         Args:
             tendons: names of the tendons of the s suspensions.
-            pulls: forces of the parts; they act on suspensions whose tendon has a motor in the model.
+            pulls: computes the forces of the parts, which act on suspensions whose tendon has a motor in the model.
             count: number N of runs.
             models: model of each run; empty if all runs share `model`.
         """
@@ -78,11 +77,11 @@ class PartBatch(Batch):
         indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
         self._lengths = _Lengths(model, indices, models or [model])
         self._response: Array | None = None
-        # index after the last entry of each part of a state: qpos, qvel, act, z
+        # end index (exclusive) of each section of the state array: qpos, qvel, act, z
         ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])
         self._begin, self._x = _State(count, ends), _State(count, ends)
         self._rates = np.zeros((len(SHARES), count, ends[-1]))
-        # views of the rates, one for each part of the state
+        # views of the rates, one for each section of the state array
         self._parts = [np.split(rates, ends[:-1], axis=1) for rates in self._rates]
 
     def forward(self, ids: Any = None, stage: int = AT_ACCELERATIONS) -> None:

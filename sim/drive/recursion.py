@@ -1,4 +1,4 @@
-"""First-order lag of an actuator, integrated in steps of RK4."""
+"""First-order lag of an actuator, integrated by RK4."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from models.common.arrays import Array, recursion
 
-SHARES = (0.0, 0.5, 0.5, 1.0)  # times at which RK4 evaluates its four stages, as shares of a step
+SHARES = (0.0, 0.5, 0.5, 1.0)  # times at which RK4 evaluates its four stages, as fractions of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # weights with which RK4 adds the rates of its four stages
 
 
@@ -37,7 +37,7 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
 
 
 def way_in_step(z: Any) -> Any:
-    """Returns the share of the distance to the command that a lagging value covers in one RK4 step.
+    """Returns the fraction of the distance to the command that a lagging value covers in one RK4 step.
 
     Args:
         z: bandwidth of the lag times the time step, any shape.

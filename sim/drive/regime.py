@@ -19,15 +19,15 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
-# A threshold counts as reached at this share of it, because a force at its limit equals the limit only up to rounding
+# A threshold counts as reached at this fraction of its value, because a force at its limit equals the limit only up to rounding
 AT = 1 - 1e-12
 # If a hub jumps by at least this distance [m], the road has passed through it within a step. Even the stiffest tyre, compressed
 # nearly flat, moves a hub by only 1 mm within 1 ms. After the road has passed the hub, the measurement jumps by at least 0.1 m,
 # because hubs are at least 0.3 m above their road.
 JUMP = 0.02
-# a rate limit counts as reached at this share of it, because the command before a lag is computed from rounded forces
+# a rate limit counts as reached at this fraction of its value, because a command before a lag is computed from rounded forces
 RATE_REACHED = 1 - 1e-7
-MISSING_FORCE = 1e-3  # N; if less of a semi-active damper's requested force is missing, the difference is a rounding error
+MISSING_FORCE = 1e-3  # N; a missing force of a semi-active damper that is smaller than this is a rounding error
 BLOCK = 200  # samples per block of many runs, so that a block fits into the cache
 
 
@@ -37,9 +37,9 @@ class Threshold:
 
     Attributes:
         signal: name of the signal.
-        sign: sign of the side with the limit; 0 for both.
+        sign: 1 for an upper limit, -1 for a lower limit, 0 for a limit of the magnitude.
         value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
-        tyre: hub and road velocities that also determine the force of a damping tyre; None if only the deflection matters.
+        tyre: hub and road velocities, on which a damping tyre's force also depends; None if only the deflection matters.
         part: part whose force beyond its linearisation is limited [N]; None if the signal is limited.
         of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
     """
@@ -56,12 +56,12 @@ class Threshold:
         return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
-        """Returns the values with a sign such that the limit is an upper limit."""
+        """Returns the values with a sign such that the limit is an upper limit; the magnitudes if both sides are limited."""
         return self.sign * values if self.sign else np.abs(values)
 
 
 def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], Array]:
-    """Returns a function that computes the limited quantity of N runs, shape (..., N), from a function of signal names."""
+    """Returns a function that computes the limited quantity of N runs, shape (..., N); its argument returns a signal by name."""
     first = limits[0]
     if first.part is not None:
         stack, place = Stack([[one.part.part] for one in limits if one.part is not None]), first.part.place
@@ -92,7 +92,7 @@ class End:
         marker: shape and colour of the marker on plots with a dark background. The names of the shapes are those of Rerun. No
             line has this colour.
         thresholds: function that returns the thresholds of a vehicle; an empty list if the vehicle has no such limit.
-        exact: True if the exact response is valid beyond this end, where only linearity ends.
+        exact: True if the exact response remains valid after this end, because only the linearity ends.
     """
 
     name: str
@@ -119,7 +119,7 @@ def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
 def _either_way(
     names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None], of_rate: bool = False
 ) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function from a vehicle to the thresholds for magnitudes of signals, if the vehicle has this limit."""
+    """Returns a function that gives a vehicle's thresholds for magnitudes of signals, if the vehicle has this limit."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
@@ -129,7 +129,7 @@ def _either_way(
 
 
 def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function from a vehicle to the thresholds at which its parts reach a given end."""
+    """Returns a function that gives the thresholds at which a vehicle's parts reach a given end."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         found = []
@@ -152,7 +152,7 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     for fitted in vehicle.parts.with_curve:
         d = response[fitted.deflection]
         v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
-        # without samples, the value is NaN
+        # a response without samples has the value NaN
         apart = np.fmax.reduce(np.abs(fitted.part.beyond(d, v)), axis=None, initial=0.0) / fitted.part.range
         shares[fitted.name] = max(shares.get(fitted.name, 0.0), float(apart))
     return shares
@@ -228,11 +228,10 @@ LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law 
 
 
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
-    """Returns the share of the distance to the command that a lagging force covers in a step, and the sample period [s].
+    """Returns the fraction of the distance to the command that a lagging force covers in a step, and the sample period [s].
 
-    For a predicted response, the share is exact. For a simulated response, it is the share in a step of RK4.
-
-    The share is 0 if there is no lag. `timestep` is 0 if the response has a single sample.
+    For a predicted response, the fraction is exact. For a simulated response, it is that of an RK4 step. The fraction is 0 if
+    there is no lag. `timestep` is 0 if the response has a single sample.
     """
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     way = float(-np.expm1(-z)) if predicted else way_in_step(z)
@@ -248,7 +247,7 @@ def command_rates(forces: Array, way: Any, interval: Any) -> Array:
 
     Args:
         forces: forces at the samples [N], shape (..., T).
-        way: share of the distance to the command that a force covers in a step, shape (...); 0 if there is no lag.
+        way: fraction of the distance to the command that a force covers in a step, shape (...); 0 if there is no lag.
         interval: sample period [s], shape (...).
     """
     way, interval = np.asarray(way)[..., None], np.asarray(interval)[..., None]
@@ -272,7 +271,7 @@ class EndDetector:
 
     Attributes:
         times: first time of each end [s], shape (N, E); infinity if it is not reached.
-        shares: largest value relative to the limit of each end, shape (N, E); 0 if there is no limit.
+        shares: largest value of each limited quantity, relative to its limit, shape (N, E); 0 if there is no limit.
     """
 
     def __init__(
@@ -333,7 +332,7 @@ class EndDetector:
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands), limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
-        """Records the first sample at which a command's rate reaches its limit, shape (N,) [N/s]."""
+        """Records the first sample at which the rate of a command reaches its limit; the limits have shape (N,) [N/s]."""
         before = self.before.get(signal, np.zeros((values.shape[2], 2)))
         forces = np.concatenate([before, values[:, signal].T], axis=1)
         self.before[signal] = forces[:, -2:]
@@ -349,7 +348,7 @@ class EndDetector:
             start: index of the first sample.
             towards: values in the direction of the limit, shape (B, N).
             limit: limit in every run, shape (N,).
-            at: share of the limit at which the limit counts as reached.
+            at: fraction of the limit at which the limit counts as reached.
         """
         largest = np.fmax.reduce(towards, axis=0, initial=0.0)
         self.shares[:, end] = np.maximum(self.shares[:, end], largest / limit)
@@ -377,7 +376,7 @@ class EndDetector:
 
 
 def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup: bool) -> EndDetector:
-    """Returns the detector after all samples of a response, whose leading axes are runs."""
+    """Returns a detector that has received all samples of a response. The leading axes of the response are runs."""
     runs = response.values.reshape(-1, *response.values.shape[-2:])
     detector = EndDetector([vehicle] * len(runs), response.time, predicted, [anti_windup] * len(runs))
     detector.update(0, np.moveaxis(runs, 0, 2))
@@ -402,7 +401,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
 
 
 def scaled(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> EndDetector:
-    """Returns the detector after all samples of a linear response times each of N factors.
+    """Returns a detector that has received all samples of N multiples of a linear response.
 
     Args:
         factors: factors for the road height, negative for a hole; shape (N,).

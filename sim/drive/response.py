@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 SAME_VALUE = 1e-9  # largest difference, relative to a signal's peak, that counts as rounding
-SILENT = 1e-3  # smallest scale that a signal can have, relative to the largest signal with the same unit
-# size relative to displacements or their rates; if angles times 1 m are smaller, they are rounding errors of a symmetrical
-# vehicle
+SILENT = 1e-3  # smallest scale of a signal, relative to the largest signal with the same unit
+# angles times 1 m that are smaller than this multiple of the displacements are rounding errors of a symmetrical vehicle; the
+# same applies to their rates
 STILL = 1e-6
-# units of an angle and of its rates, each with the unit of the motion that the angle causes at a distance
+# unit of an angle or its rates, and the unit of the motion that it causes at a distance from the axis of rotation
 ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}
 
 
@@ -38,7 +38,7 @@ def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> A
     Args:
         sizes: size of each of p signals, shape (..., p).
         units: units of the signals.
-        still: `STILL`, or its square if the sizes are squares.
+        still: `STILL`, or the square of `STILL` if the sizes are squares.
     """
     largest = {unit: sizes[..., np.array(units) == unit].max(axis=-1) for unit in {*units}}
     for turned, along in ALONG.items():
@@ -54,7 +54,7 @@ class Response(ShownResult):
 
     Attributes:
         time: sample times [s], shape (T,).
-        signals: the S signals in the last axis of `values`, each with its unit.
+        signals: the S signals, with their units, in the order of the last axis of `values`.
         values: values of the signals, shape (..., T, S). Leading axes are runs.
         before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name of
             the signal, shape (..., T) each. Only signals that jump are included.
@@ -183,7 +183,7 @@ class Response(ShownResult):
         return loudest_alike(self._peaks, [signal.unit for signal in self.signals])
 
     def scale(self, signal: str) -> float:
-        """Returns the value to which differences in a signal are relative, for a single run: usually its peak.
+        """Returns the reference value for relative differences of a signal in a single run, usually the signal's peak.
 
         Symmetry may keep a signal at zero, for example roll over a bump under both tracks. The scale is therefore at least a
         thousandth of the largest signal with the same unit, see `loudest_alike`.
@@ -239,7 +239,7 @@ class Response(ShownResult):
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
-    """Returns the difference of two responses, relative to the peaks of the sampled one. The verdict uses the largest value.
+    """Returns the difference from the sampled response, relative to its peaks. The verdict uses the largest value.
 
     Args:
         sampled: exact sampled response, at the same times as the simulated one.

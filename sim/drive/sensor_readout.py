@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 # MuJoCo's Python bindings have no type stubs.
 
 CLOSEST = 1e-13  # m, rad and their rates: accuracy with which the given state is reached at the start of a run
-MOST_TRIALS = 60  # largest number of iterations in the search for the state at the start
+MOST_TRIALS = 60  # largest number of iterations in the search for a given state at the start of a run
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
@@ -28,9 +28,9 @@ def hardware(vehicle: Vehicle) -> tuple[object, ...]:
 
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
-    """Returns a key that is equal for vehicles that can be stepped together: same geometry and same number of elements."""
+    """Returns a key that is equal for vehicles with the same geometry and number of elements, which can be stepped together."""
     model, readout = prepared_readout(vehicle, timestep)
-    # A vehicle with a bump stop, an anti-roll bar or a characteristic needs a model that has this part, too.
+    # A vehicle with a bump stop, an anti-roll bar or a characteristic needs a model that also contains this part.
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
@@ -45,7 +45,7 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
 class Readout:
     """Maps from MuJoCo's state and sensors to signals.
 
-    A signal is the value of its sensor in the sensor's `user` direction, relative to the value in equilibrium.
+    A signal is the value of its sensor along the sensor's `user` direction, minus the value in equilibrium.
 
     Attributes:
         names: names of the S signals. The last k are the states of the vehicle's parts.

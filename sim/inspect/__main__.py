@@ -1,4 +1,4 @@
-"""`python -m sim.inspect`: repeats logged runs from the content of each log, and checks whether the log proves its claims."""
+"""`python -m sim.inspect`: repeats logged runs, and checks the responses, results and certificates in each log."""
 
 if __name__ == "__main__":
     from models.common.cli import run

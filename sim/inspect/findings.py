@@ -1,4 +1,4 @@
-"""Findings about a log: claims that hold or fail, and differences between logged and recomputed numbers."""
+"""Findings about a log: logged statements that hold or fail, and differences between logged and recomputed numbers."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -13,14 +13,14 @@ from sim.runs.agreement import ROUNDING
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 # allowed relative difference of a derived number that is recomputed on another machine or with another version of NumPy
 SAME = 1e-6
-# Keys that older logs may lack. Only vehicles with nonlinear springs or dampers have the last two.
+# JSON keys that older logs may lack. Only vehicles with nonlinear springs or dampers have the last two keys.
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
-# Keys that only older logs contain, or only logs of laws that a replay does not run
+# JSON keys that are not recomputed: only older logs contain them, or only logs of laws that a replay does not run
 OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}
-# Names of differences between two runs, relative to a peak; `SAME` is the tolerance of their absolute change
+# JSON keys of differences between two runs, relative to a peak; such a difference may change by `SAME` (absolute)
 DIFFERENCES = {"half_step", "code_difference"}
-LESS = {"residual", "allowed"}  # parts of an energy balance whose rounding errors were larger in older versions
-HUGE = 1e150  # a loop whose linear response exceeds this value is unstable; the square of the response would overflow
+LESS = {"residual", "allowed"}  # JSON keys in an energy balance whose rounding errors were larger in older versions
+HUGE = 1e150  # a loop whose linear response exceeds this value is unstable; the square of a larger response may overflow
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Finding:
     Attributes:
         part: subject of the claim, such as "certificate".
         verdict: `HOLDS`, `FAILS`, `MISSING` (the log does not contain the proof), or `NOTE` (there is nothing to prove).
-        text: printed text of the result.
+        text: printed sentence about the result.
     """
 
     part: str
@@ -70,7 +70,7 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def different(said: Any, now: Any) -> Iterator[str]:
-    """Yields the paths at which a JSON value differs from the recomputed value.
+    """Compares a JSON value with the recomputed value; yields the paths at which they differ.
 
     Numbers may have a relative difference of up to `SAME`.
     """

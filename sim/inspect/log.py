@@ -1,4 +1,4 @@
-"""Reading of a log: the claims about each run, and the responses of the run.
+"""Reads a log: the claims about each run, which are its logged properties and results, and the responses of the run.
 
 `sim.recording.mcap_writer` and `sim.recording.run_records` write the log and define its topics and claims.
 """
@@ -24,7 +24,7 @@ GIVE = "give an .mcap file that a Roadproof command wrote"
 
 
 class Part(dict[str, Any]):
-    """Dictionary that contains a part of a log. A missing key raises InputError with the name of this key."""
+    """Dictionary with a part of a log. Access to a missing key raises InputError with the name of this key."""
 
     def __missing__(self, key: str) -> NoReturn:
         raise InputError(f"the log has no {key!r}")

@@ -42,11 +42,11 @@ from synth.controller.report import (
     notes_on_sampled_loop,
 )
 
-# Key that earlier versions wrote about exported code; the key is ignored, because the rounding is now measured
+# Key of earlier versions with the predicted effect of rounding in exported code; ignored, because the effect is now measured
 PREDICTED_KEY = "rounding"
 REPLAY_TOLERANCE = 1e-7  # difference that is allowed between MuJoCo runs on two machines, relative to the peak of a signal
-OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims in a log that `_check_certificate` checks
-# errors that are raised if a number or a key of a logged run is invalid
+OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # metadata keys that `_check_certificate` checks
+# exceptions that Python raises if a number or a key in a logged run is invalid
 WRONG = (ValueError, ArithmeticError, TypeError, LookupError)
 GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with roadproof synth"
 EARLIER = "an earlier version with other numbers for semi-active laws wrote the log; inspect the log with that version"
@@ -86,7 +86,7 @@ class Proof:
 
     @property
     def broken(self) -> list[str]:
-        """Parts of the log that contain a failed or unproved claim, such as "certificate of I"."""
+        """Names of the parts of the log with a claim that fails or is not proved, such as "certificate of I"."""
         wrong = [f"the {one.part}" for one in self.findings if not one.proved]
         wrong += [f"{one.part} of {run.recorded_run.name}" for run in self.runs for one in run.findings if not one.proved]
         return list(dict.fromkeys(wrong))
@@ -275,11 +275,11 @@ def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds
 
     Args:
         part: subject of the findings.
-        source: origin of the logged values, for the text.
+        source: words in the text that state where the logged values come from.
         said: logged values.
         now: recomputed values.
-        what: plural noun for further differences, for the text.
-        holds: texts of the findings that are returned if there is no difference.
+        what: plural noun that the text uses for further differences.
+        holds: texts of the findings that are yielded if there is no difference.
 
     Yields:
         A finding about the first difference, with the number of further differences; otherwise a finding for each of `holds`.

@@ -1,7 +1,7 @@
 """Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
-No controller is designed, and no solver is needed. The log contains the proof of the certificate and the law, from which the
-linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
+The replay does not design controllers and needs no solver. The log contains the proof of the certificate, and the law, from
+which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
 """
 
 import json
@@ -34,10 +34,10 @@ from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem
 
-# Largest number of states (including delayed forces) of a loop for which a replay computes eigenvalues; the computation then
-# takes seconds
+# Largest number of states (including delayed forces) of a loop whose eigenvalues a replay computes. For this number, the
+# computation takes seconds.
 MOST_STATES = 1000
-LAW = ("gain", *MATRICES, "sample_period")  # claims in a log that define the control law
+LAW = ("gain", *MATRICES, "sample_period")  # metadata keys that define the control law
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
@@ -60,12 +60,12 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
 def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     """Returns the vehicle with the actuators, initial state and implementation of a run.
 
-    A run may differ from the vehicle file in these respects: `sim.margins`, for example, adds a delay.
+    In these respects, a run may differ from the vehicle file. For example, `sim.margins` adds a delay.
     """
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
         vehicle = vehicle.without(part)
-    # In a comparison with controllers that request forces, the passive vehicle and state feedback also have force actuators.
+    # Next to controllers that request forces, the passive vehicle and state feedback were also run with force actuators.
     pushed = vehicle.dampers and name in RESERVED_NAMES and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
     vehicle = vehicle.with_force_actuators if pushed else vehicle.with_actuators_of(name)
     start = run.claim("start") if "start" in run.claims else {}
@@ -96,7 +96,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     entry = vehicle.controllers.get(name)
 
     def linear(name: str) -> Controller:
-        """Returns a linear controller. The law is taken from the vehicle file or, if it was designed, from the log."""
+        """Returns a linear controller. Its law is taken from the vehicle file or, if the law was designed, from the log."""
         request = DesignRequest() if entry is None else entry.request
         signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
         given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
@@ -147,7 +147,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
 
 
 def controller_states(controller: AnyController) -> tuple[Signal, ...]:
-    """Returns the signals for the states of a controller."""
+    """Returns the signals (names and units) that represent the states of a controller."""
     return kept_signals(range(1, controller.states + 1))
 
 

@@ -41,11 +41,11 @@ RECORD = Record[Proof](
 
 
 def describe(proof: Proof, in_table: bool = False) -> Document:
-    """Returns the printed document: the log, the findings about log and runs, and whether the log proves its claims.
+    """Returns the printed document: the log, the findings about log and runs, and whether all claims in the log are proved.
 
     Args:
         proof: the log and its findings.
-        in_table: True for a table of runs instead of a document about each run.
+        in_table: True for one table of all runs instead of a document about each run.
     """
     log, vehicle = proof.log, proof.vehicle
     about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]
@@ -103,7 +103,7 @@ def _statements(findings: Sequence[Finding]) -> tuple[Statement, ...]:
 
 
 def short_line(proof: Proof) -> list[str]:
-    """Returns printed lines about one of several logs: whether it proves its claims, and the parts that it does not prove."""
+    """Returns printed lines about one of several logs: whether all its claims are proved, and which parts are not."""
     if proof.holds:
         return [Whole(f"still proves    {proof.log.path}")]
     return [Whole(f"DOES NOT PROVE  {proof.log.path}"), *wrap_text(", ".join(proof.broken), "  ", 4)]

@@ -1,4 +1,4 @@
-"""Signals and commands of semi-active dampers, computed from a linear response or from a simulated run."""
+"""Computes signals and commands of semi-active dampers from a linear response or from a simulated run."""
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
     """Returns the signals of the semi-active dampers by name.
 
     Args:
-        beyond: coefficients relative to the nominal ones [N s/m], shape (T, m).
+        beyond: damping coefficients minus the nominal ones [N s/m], shape (T, m).
         missing: requested forces minus actual forces [N], shape (T, m).
     """
     signals, forces = {}, vehicle.linear_model.inputs
@@ -61,8 +61,8 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
 def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, Array]:
     """Returns the damper signals for a linear response in which all requested forces act.
 
-    The coefficients in the result would produce these forces. The missing forces in the result are the part that a real damper,
-    with its limited range, would not supply.
+    The returned coefficients would produce these forces. The returned missing forces are the part that a real damper could not
+    supply, because its range is limited.
 
     Args:
         states: states of the vehicle at the samples, shape (T, n).
@@ -79,8 +79,8 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the commands of the actuators in a simulated run, shape (T, 2 m); 0 after the run diverged.
 
-    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from its change in a step, because RK4
-    covers a known share of the distance to the command.
+    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from the change of the coefficient in a
+    step, because RK4 covers a known fraction of the distance to the command.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)

@@ -22,7 +22,7 @@ from synth.plant.loop import HoldInterval, Loop, respond
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response to forces, and to the road as MuJoCo holds it, starting from equilibrium.
+    """Returns the response from equilibrium to given forces and to the road as MuJoCo holds it over each step.
 
     Args:
         forces: requested forces at every sample [N], shape (T, m).
@@ -44,7 +44,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
-    """Returns the response to held forces and a continuous road, from equilibrium. Arguments as for `forced_response`."""
+    """Returns the response from equilibrium to held forces and a continuous road. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
     Phi, Gamma = plant.part((), model.inputs).hold_matrices(road.timestep)
     start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))

@@ -5,15 +5,15 @@ time, Z and W act on the loop of `synth/controller/loop_of.py`.
 
 In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step, the road is held at the height at mid-step,
 which is exp(j omega h/2) times as large. If tyres have damping, the mean road velocity over the step is also held. The control
-force is also held over each step. The response to a sampled sinusoid is then an exact sinusoid. If the sample period of the
-controller is several steps, other frequencies appear. The frequency response then contains only the component at omega, computed
-over all steps of a period.
+force is also held over each step. At the samples, the response to a sinusoid is then exactly a sinusoid. If the sample period
+of the controller is several steps, other frequencies appear. The frequency response then contains only the component at omega,
+computed over all steps of a period.
 
 Preview adds to the requested forces the sum of the weights times exp(j omega i T) over the coming samples i, at intervals T. In
 continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s.
 
-A suspension force F exp(j omega t) may act in addition. Like the road, this force is held over each step at its midpoint. No
-state jumps with this force. The responses to this force, per newton, are appended to the responses to the road.
+A suspension force F exp(j omega t) may act in addition. Like the road, this force is held over each step at its mid-step value.
+No state jumps with this force. The responses to this force, per newton, are appended to the responses to the road.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,9 +30,9 @@ from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, road_inputs, with_ending
 from synth.plant.loop import Loop, frequency_response, stepwise_response
 
-# first frequency [rad/s] and number of points of the grid in which the peak is searched; the grid ends at the Nyquist frequency
+# lowest frequency [rad/s] and number of points of the grid that is searched for the peak, up to the Nyquist frequency
 LOWEST, GRID = 1e-2, 3000
-PULL = "pull_"  # prefix of inputs that are suspension forces
+PULL = "pull_"  # prefix for the names of inputs that are suspension forces
 
 
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
@@ -64,8 +64,8 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: time step h [s].
         exponential: function for the matrix exponential; `taylor4` predicts RK4.
-        pulls: e deflections along which additional forces act. If given, the responses to these forces per newton are appended:
-            shape (F, p, r + e).
+        pulls: e deflections along which additional forces act. If given, the responses to these forces, per newton, are
+            appended, and the shape is (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -165,8 +165,8 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
 def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
     """Returns the largest gain from the road under the wheels to z, and its frequency.
 
-    By Parseval's theorem, this is the largest L2 gain for all roads with frequencies below `highest`. With one wheel, this gain
-    is the H-infinity norm.
+    By Parseval's theorem, this gain is the largest L2 gain for all roads whose frequencies are below `highest`. With one wheel,
+    this gain is the H-infinity norm.
 
     Args:
         response: function that returns the frequency response, shape (F, p, r), at angular frequencies [rad/s], shape (F,).
@@ -177,7 +177,7 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     def gain(omega: Array) -> Array:
         return sinusoid_gains(vehicle, response(omega), omega, speed)
 
-    # Poles with little damping cause narrow peaks. The peaks of a vehicle are wider than 0.4 %, the spacing of the grid, and
+    # Poles with little damping cause narrow peaks. The peaks of a vehicle are wider than the spacing of the grid, 0.4 %, and
     # the search refines each peak.
     omega = np.geomspace(LOWEST, 0.99 * highest, GRID)
     gains = gain(omega)

@@ -27,12 +27,12 @@ def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts:
     Args:
         model: linear model of the vehicle, or its model at the wheels, which does not contain the states of parts.
         effects: function that returns the effects of suspension forces on this model, see `Vehicle.force_effects`.
-        acts: True for each suspension with forces that the linear model does not contain.
+        acts: True for each suspension that has forces outside the linear model.
 
     Returns:
-        Gains from states, shape (2 s, n), and from road heights, shape (2 s, r), to the s deflections followed by their s rates.
-        The last two arrays are the gains from the contracting suspension forces to state rates and to outputs, shapes (n, s) and
-        (p, s).
+        The first two arrays are the gains from states, shape (2 s, n), and from road heights, shape (2 s, r), to the s
+        deflections followed by their s rates. The last two arrays are the gains from the contracting suspension forces to state
+        rates and to outputs, shapes (n, s) and (p, s).
 
     Raises:
         ValueError: the model does not define the effect of a force along a suspension.

@@ -14,12 +14,12 @@ def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def at_rest(vehicle: Vehicle) -> Vehicle:
-    """Returns the vehicle that is linear on sufficiently low roads."""
+    """Replaces all elements that are nonlinear on any road; the returned vehicle is linear on sufficiently low roads."""
     return vehicle.with_ideal_actuators.linearised if bent_at_rest(vehicle) else vehicle.with_ideal_actuators
 
 
 def at_rest_words(vehicle: Vehicle) -> str:
-    """Returns a text about the elements that are replaced in the linearised vehicle; empty if there are none."""
+    """Describes which elements are replaced in the linearised vehicle; empty if no element is replaced."""
     bent, phrases = bent_at_rest(vehicle), []
     if vehicle.dampers:
         phrases.append("force actuators instead of the semi-active dampers, so that every requested force acts")

@@ -30,7 +30,7 @@ def response_of(
         model: model of the vehicle, or a larger model that begins with its states and inputs.
         states, inputs: states and inputs at the samples, shapes (T, n) and (T, m).
         beyond: contribution of characteristics and loads to the outputs, shape (T, p), or 0.
-        beside: additional signals by name, each of shape (T,). None adds the damper signals of these inputs.
+        beside: additional signals by name, each of shape (T,). If None, the damper signals for these inputs are added.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
     return response_by_name(road, (*model.outputs, *with_ending(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
@@ -61,7 +61,7 @@ def response_by_name(
 
 
 def with_linear_sides(response: Response, road: RoadInput, held: bool, of_heights: Array | None = None) -> Response:
-    """Returns a linear response to which the values on the other side of each vertical edge of the road are added.
+    """Adds the values on the other side of each vertical edge of the road to a linear response.
 
     Args:
         response: response of a single run over the road.
@@ -81,7 +81,7 @@ def with_linear_sides(response: Response, road: RoadInput, held: bool, of_height
 
 
 def forces_ahead(preview: "RoadPreview", road: RoadInput, steps: int) -> Array:
-    """Returns the preview forces of a computer [N], shape (T, m), each held for `steps` time steps."""
+    """Returns the preview forces that a computer requests [N], shape (T, m), each held for `steps` time steps."""
     h = road.timestep
     heights = np.concatenate([road.heights, road.ahead((preview.samples(steps * h) - 1) * steps)])
     return preview.forces(heights, steps, h, len(road.time))

@@ -52,8 +52,8 @@ class Prediction:
     def sampled(self) -> Response:
         """Response of the sampled loop.
 
-        The response is exact if the loop is linear. With characteristics, it is computed by RK4. All values are NaN if a law
-        sets semi-active dampers, because the loop is not linear.
+        The response is exact if the loop is linear. With characteristics, it is computed by RK4. If a law sets semi-active
+        dampers, the loop is not linear, and all values are NaN.
         """
         return self._sampled[0]
 
@@ -80,7 +80,7 @@ class Prediction:
 
     @cached_property
     def radius(self) -> float:
-        """Spectral radius of the sampled loop per time step; above 1 the loop is unstable.
+        """Spectral radius of the sampled loop per time step. If it is above 1, the loop is unstable.
 
         NaN if the loop is too large or not linear.
         """
@@ -166,7 +166,7 @@ class Prediction:
 
     @property
     def cause(self) -> str:
-        """Text that lists effects in the run that are not in the sampled response; empty if only the error of RK4 remains."""
+        """Text that lists effects in the run that the sampled response omits; empty if only the error of RK4 remains."""
         noise = self.vehicle.implementation.noise_text if self.is_blurred else ""
         geometry = "geometry" if has_geometry(self.vehicle) else ""
         return " and ".join(filter(None, (geometry, noise, self.rounding_text)))

@@ -1,7 +1,7 @@
 """Exact linear responses of N runs with linear laws, computed together in blocks, as in `sim.linear.sampled_response`.
 
-The equations are xi' = A xi + sum of B v and y = C xi + sum of D v, with inputs v and a state xi that does not jump with the
-road. The products are evaluated state by state, which takes half the time of products of small matrices.
+The equations are xi' = A xi + sum of B v and y = C xi + sum of D v, with inputs v and a state xi that does not jump when the
+road jumps. The products are evaluated state by state, which takes half the time of products of small matrices.
 """
 
 from collections.abc import Callable
@@ -83,7 +83,7 @@ class ResponseBatch:
 
 def _closed_loop(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
     """Returns the closed loop from step to step, for a law without delay."""
-    law = cast("Controller", driver)  # the driver is a linear controller
+    law = cast("Controller", driver)  # the driver of each run is a linear controller
     return loop_of(replace(vehicle, implementation=Implementation()), law, timestep).closed_loop
 
 

@@ -1,9 +1,9 @@
 """Effect of rounding errors on the signals of a run.
 
 Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a relative rounding error of 1e-16, and
-balanced forces of the whole weight support the vehicle. The error of a signal is therefore the same for a bump of a decimetre and
-a bump of a micrometre. The error model assumes that each length among the states changes by a few rounding errors. Each velocity
-changes by this amount times the vehicle's fastest rate. The linear model gives the effect on the outputs.
+large forces balance the weight of the vehicle. The error of a signal is therefore the same for a bump of a decimetre and a bump
+of a micrometre. The error model assumes that each state that is a length has an error of a few rounding errors. Each velocity
+has this error times the vehicle's fastest rate. The linear model gives the effect on the outputs.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController
 
-# rounding error in m or rad; over roads of 1e-9 m, the largest error observed in 20000 steps was 5e-16 m
+# assumed rounding error of a length or angle [m or rad]; in 20000 steps over roads of 1e-9 m, at most 5e-16 m was observed
 LENGTH = 16 * float(np.finfo(float).eps)
 LENGTHS = ("m", "rad")
 RATES = 400  # number of frequencies at which the gain of a law is evaluated
@@ -49,7 +49,7 @@ def effect_on_states(vehicle: Vehicle) -> tuple[float, Array]:
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
     n = len(model.states) - len(kind.of_parts)
     moved_states = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states[:n]])
-    # effect of rounding on the parts' own states, in the units of these states
+    # effect of rounding on the internal states of parts, in the units of these states
     of_parts = np.abs(model.A[n:, :n]) @ moved_states / (rate or 1.0)
     return rate, np.concatenate([moved_states, of_parts])
 

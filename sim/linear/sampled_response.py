@@ -54,10 +54,10 @@ if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
 
 NODES = 8  # number of nodes with which the integral over a step is computed (quadrature)
-WHOLE = 1e-9  # a preview time counts as an integer number of steps if its relative distance from this number is smaller
+WHOLE = 1e-9  # a preview time counts as an integer number of steps if their relative difference is below this
 
 
-SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not change within any run, and the time step computed for it would overflow
+SLOWEST_RATE = 1e-12  # rad/s; a system with a lower fastest rate does not move within a run, and its time step would overflow
 
 
 def taylor4(M: Array) -> Array:
@@ -174,7 +174,7 @@ def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
 def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
     """Returns g, P and the road's contribution to y over each step (see module docstring), shapes (T, k), (n, k) and (T, n).
 
-    The evaluation of a random road takes most of the time, so every quadrature node is used for all three integrals.
+    Evaluating a random road takes most of the time. Each value at a quadrature node is therefore used for all three integrals.
 
     Args:
         system: closed loop with the control forces as inputs.
@@ -193,12 +193,12 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
     P = linalg.solve_sylvester(A, preview.A, -B @ preview.C)
 
     def met(t: Array) -> Array:
-        """Returns d at given times, shape (T, k)."""
+        """Returns the preview input d (see module docstring) at given times, shape (T, k)."""
         pushed = under_wheels(road.velocity, road, vehicle, t) @ preview.B.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ preview.H.T if preview.H.any() else pushed
 
     def change(t: Array) -> Array:
-        """Returns the terms of d that enter and leave the preview window at given times, shape (T, k)."""
+        """Returns the terms of d, at given times, where the road enters and leaves the preview window, shape (T, k)."""
         return met(t) - met(t + T) @ later.T
 
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
@@ -230,7 +230,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
 
 
 def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
-    """Returns the contribution to g of jumps of the road height within the preview, at the samples, shape (T, k)."""
+    """Returns the contribution to g, at the samples, of jumps of the road height within the preview, shape (T, k)."""
     time, h = road_input.time, road_input.timestep
     seen = np.zeros((len(time), len(preview.A)))
     for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
@@ -308,7 +308,7 @@ def _over_pieces(
     return total
 
 
-CHEBYSHEV = 16  # number of Chebyshev nodes
+CHEBYSHEV = 16  # number of nodes of the Chebyshev polynomial, whose degree is one less
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
@@ -322,7 +322,7 @@ def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[floa
 
 
 def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:
-    """Returns the integral of exp(A (h - s)) push(start + s) over s from 0 to h, for start times of shape (T,), shape (T, n)."""
+    """Returns the integral of exp(A (h - s)) push(start + s) over s from 0 to h, shape (T, n), for T start times."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):

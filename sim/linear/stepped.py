@@ -45,8 +45,8 @@ class Stepper:
     """Steps of N runs of a vehicle with m inputs. Inputs, road and loads are held over each step.
 
     Attributes:
-        model: linear model with n states, of which the last are the lagging inputs. The coefficients of dampers have no effect
-            in this model.
+        model: linear model with n states, of which the last are the lagging inputs. Coefficients of dampers are also inputs,
+            but have no effect in this model.
     """
 
     def __init__(self, vehicle: Vehicle, timestep: float) -> None:
@@ -65,7 +65,7 @@ class Stepper:
         w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching_rates(vehicle) if vehicle.dampers else np.zeros((m, n))
-        self._still = None if felt else np.zeros((1, m))  # zeros are sufficient if no suspension force depends on the inputs
+        self._still = None if felt else np.zeros((1, m))  # used instead of the inputs if no force depends on them
         rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
         of_road = of_road + rows @ model.jump
         if felt:
@@ -144,7 +144,7 @@ class Stepper:
         return self._pulls(*self._at(y))
 
     def _at(self, y: Array) -> tuple[tuple[Array, Array, Array, Any], Array]:
-        """Returns the arguments of `SuspensionForces` at a stage, and v' without these forces, from the stage's values."""
+        """Returns the arguments of `SuspensionForces` at a stage of RK4, and v' without these forces."""
         s, last = self._s, y.shape[-1] - len(self._response)
         end = last - self._own
         inputs = y[..., 2 * s : end] if self._still is None else self._still
@@ -215,7 +215,7 @@ def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
 
 
 class _Laws:
-    """Laws of N runs that measure q signals at their samples. Laws with fewer states than others are padded with zeros."""
+    """Linear laws of N runs; each law measures q signals at its samples. Laws with fewer states are padded with zeros."""
 
     def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
         """Prepares the laws. `period` is the number of time steps per sample of the laws."""
@@ -266,7 +266,7 @@ class SteppedRuns:
         steps: steps of the vehicle.
         inputs: the N roads.
         states: states xi at the samples, shape (T, N, n).
-        given_forces: inputs that are held from each sample to the next, shape (T, N, m).
+        given_forces: inputs of the vehicle, which are held from each sample to the next, shape (T, N, m).
         missing_forces: forces that semi-active dampers do not supply [N], shape (T, N, m); (T, N, 0) without semi-active
             dampers.
         law_states: states of the laws, each at the last sample of its law, shape (N, T, k).

@@ -1,10 +1,10 @@
-"""Comparison of a run's commands with its control law, which is evaluated on the run's own measurements at every sample.
+"""Compares the commands of a run with its control law, which is evaluated at every sample for the measurements of the run.
 
 At each sample, the law is evaluated with the measurements of the run and the recorded states of the law. An error at one sample
-therefore cannot hide an error at another. Three things are compared. The measurements must be the run's signals at the sample, to
-which noise and quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each
+therefore cannot hide an error at another. Three things are compared. The measurements must be the run's signals at the sample,
+to which noise and quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each
 command must act `delay` samples after its measurements. A Python control law, an FMU or exported code is started again and
-receives the same measurements.
+receives the measurements of the run.
 """
 
 from collections.abc import Iterator
@@ -31,13 +31,13 @@ from synth.controller.controller import AnyController, Controller
 if TYPE_CHECKING:
     from models.laws.semi_active import SemiActive
 
-SPEED = 1e-8  # m/s, and also a share of the largest closing velocity; the largest observed difference is 4e-16
-# difference relative to the largest terms of a sum; rounding causes at most 1e-13, but a command that is one sample late causes
-# at least 1e-3
+SPEED = 1e-8  # allowed difference of a closing velocity: in m/s, plus relative to its largest value; at most 4e-16 was observed
+# allowed difference between two commands, relative to the largest term of their sums; rounding causes at most 1e-13, a command
+# that is one sample late at least 1e-3
 EXACT = 1e-10
 
 
-# Name, times [s], and the difference and its allowed value relative to the peak, shape (K,)
+# Name of a signal, sample times [s], and the difference and the allowed difference relative to the peak, shape (K,) each
 Difference = tuple[str, Array, Array, Array]
 
 
@@ -93,7 +93,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
     if result.agrees or not controller.serial:
         return result
     once = answer()
-    # a law that still depends on its previous run now gives different commands
+    # the law first repeats half of the samples; a law that depends on its previous run then gives different commands
     _again(controller, road, replace(samples, due=due[: len(due) // 2]))
     if any(np.any(a[2] != b[2]) for a, b in zip(once, answer(), strict=True)):
         return replace(_worst(readings, vehicle), repeatable=False)
@@ -143,7 +143,7 @@ def _readings(controller: AnyController, road: RoadInput, recording: Recording, 
 def _commands(
     controller: AnyController, road: RoadInput, samples: _Samples, recording: Recording, count: int, late: int
 ) -> Iterator[Difference]:
-    """Yields the differences between the commands of the run and of the law; for a linear law, also those of the states."""
+    """Yields the differences between the commands of the run and of the law; for a linear law, also between the states."""
     vehicle, times = road.vehicle, road.time[:count]
     inputs = vehicle.linear_model.inputs
     names = (*inputs, *(f"missing {name}" for name in inputs))
@@ -189,7 +189,7 @@ def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) ->
 def _linear(
     controller: Controller, road: RoadInput, samples: _Samples, limiter: CommandLimiter | None, logged: Array
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Returns a linear law's commands, shape (K, c), and next states, shape (K, k), each with the allowed differences.
+    """Returns a linear law's commands, shape (K, c), and its next states, shape (K, k), each with the allowed differences.
 
     Args:
         limiter: rate limiter of the commands, or None.

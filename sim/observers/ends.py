@@ -62,7 +62,7 @@ class Ends:
 
     @property
     def until(self) -> Array:
-        """Time until which each run is linear, by the blocks so far [s], shape (N,); infinity if no limit was reached."""
+        """Time until which each run is linear [s], from the blocks so far, shape (N,); infinity if no limit was reached."""
         return np.minimum(self._detector.first, self._batch.diverged)
 
     def take(self, block: Block) -> None:

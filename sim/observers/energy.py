@@ -67,9 +67,9 @@ if TYPE_CHECKING:
 # Largest residual if no force has a kink, divided by (step times the vehicle's fastest rate)^4. Random vehicles of every type
 # reach 0.02 over bumps and random roads with steps from 0.5 to 4 ms, and 0.07 with 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
-# a tyre or a suspension may reach a kink within a step if it has covered more than this share of the distance to the kink
+# if a tyre or a suspension has covered more than this fraction of the distance to a kink, it may reach the kink within a step
 NEAR = 0.95
-AT_ONCE = 4096  # number of states that are evaluated together
+AT_ONCE = 4096  # largest number of states that MuJoCo evaluates in one batch
 
 
 def energy(run: Recording, until: float = np.inf) -> Energy:
@@ -87,7 +87,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
     response = run.response.samples(slice(count))
     work, least = _by_inputs(vehicle, path, response, run.commands[:count])
     by_loads = np.zeros((count - 1, 1))
-    if road.loaded:  # loads are held within a step and act along joints, so their work is computed exactly
+    if road.loaded:  # loads are held within a step and act along joints, so their work is exactly load times joint motion
         moved = np.diff(run.qpos[:count, pushed_dofs(vehicle, path.model)], axis=0)
         by_loads = road.held_loads[: count - 1] * moved
     by_road, lost = _by_tyres(path, road)
@@ -147,7 +147,7 @@ def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | 
 
 
 def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
-    """Returns the work of an element's coil, and the energy that its command adds to the stored energy.
+    """Returns the work of an element's coil, and the energy stored because its voltage is not the nominal one.
 
     The result contains the work during each step and at the end of each step [J], shapes (T - 1,), and the energy at the samples
     [J], shape (T,).
@@ -242,7 +242,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
             own = ratio(length.d) * length.v
             power = (dampers[name].force_at(own, 0.0) - response[name]) * own
             least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
-        elif vehicle.limits.actuator_bandwidth is None:  # the work of a force that is held within a step is computed exactly
+        elif vehicle.limits.actuator_bandwidth is None:  # work of a held force: force times change of length
             travel = partial(ratios.travel, name)
             work[:, j] = first * (travel(length.after) - travel(length.d[:-1]))
         else:
@@ -332,7 +332,7 @@ class _Path:
         return _Length(d, factor * self.starts[:, len(self.rest) // 2 + 1 + number], after, self.h)
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
-        """Returns the deflection along which an input acts: of its suspension if it has one, otherwise of its actuator."""
+        """Returns the deflection along which an input acts: that of its suspension if there is one, otherwise of its actuator."""
         model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.deflection_of(force))
         firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None

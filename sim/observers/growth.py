@@ -1,4 +1,4 @@
-"""Growth: the state of each run at one chosen sample, which shows whether a mode grows or decays."""
+"""Records the state of each run at one chosen sample. The state shows whether a mode has grown or decayed."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ class Growth:
     """Records the state of each run at one sample."""
 
     def __init__(self, samples: Sequence[int], batch: Batch) -> None:
-        """Prepares the runs of a batch. `samples` contains the sample of each case."""
+        """Prepares the runs of a batch. `samples` contains, for each case, the index of the sample to record."""
         self._samples = [samples[i] for i in batch.numbers]
         self._states: list[Array] = [np.zeros(0)] * len(self._samples)
 

@@ -9,7 +9,7 @@ from models.document.text import ShownResult, facts
 
 WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # difference of a signal, relative to the signal's peak
-ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # largest difference with which a check is passed
+ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # largest difference at which a check passes
 JOULES = Field[float]("energy", float, ".5g", unit="J")
 # Largest residual of an energy balance, relative to the turnover, if a force has a kink. RK4 then causes residuals of 5e-5 at 1
 # ms and 6e-4 at 4 ms for every built-in vehicle and controller over two bumps. A damper that is wrong by 1 % causes a residual
@@ -19,8 +19,8 @@ BALANCE_TOLERANCE = 1e-3
 # step. If the residual is too large, the run is therefore repeated at half the step, and `FALLS` times the observed decrease is
 # allowed in addition. If the error of RK4 is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430
 # kN/m that is often in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
-FALLS, COARSEST = 1.5, 0.1  # factor that multiplies the decrease, and largest residual with which a balance can be confirmed
-# if the turnover, relative to the energy in equilibrium, is smaller than this, the residual is a rounding error
+FALLS, COARSEST = 1.5, 0.1  # factor for the decrease of the residual, and largest residual at which a balance can be confirmed
+# if the turnover is below this multiple of the energy in equilibrium, the residual is a rounding error
 ROUNDING = 1e-8
 
 
@@ -29,10 +29,10 @@ class LocalAgreement:
     """Result of a local check, either of steps or of commands.
 
     Attributes:
-        error: difference that is largest compared with the allowed difference, relative to the peak of the signal.
+        error: the difference with the largest ratio to its allowed difference, relative to the peak of the signal.
         allowed: allowed difference of this signal, relative to its peak.
         signal: name of this signal, command or state of the law.
-        since: time of the first step or sample at which a difference is not allowed [s]; infinity if there is no such step.
+        since: time of the first step or sample at which a difference exceeds the allowed one [s]; infinity if none does.
     """
 
     error: float
@@ -51,8 +51,8 @@ class StepAgreement(LocalAgreement):
     """Differences between the simulation and the vehicle's exact equations, over single steps and at the starts of the steps.
 
     Attributes:
-        until: time before which a step must begin to be compared [s]; infinite if all steps are compared.
-        equations_invalid: True if the equations are not valid for the state at this time.
+        until: steps that begin before this time are compared [s]; infinite if all steps are compared.
+        equations_invalid: True if the equations are not valid for the state at the time `until`.
     """
 
     until: float
@@ -84,10 +84,10 @@ class Energy(ShownResult):
             kinetic energy [J].
         loads: work done by the loads on the body [J]; None if there are no loads.
         allowed: largest residual that the error of the integrator can explain: the residual of RK4 if no force has a kink,
-            otherwise `BALANCE_TOLERANCE`. The limit is larger if half the step leaves a smaller residual.
+            otherwise `BALANCE_TOLERANCE`. The limit is larger if the residual of the run at half the step is smaller.
         residual: largest magnitude over time of the work done minus the stored and dissipated energy, relative to `turnover`.
-        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest power. The value is
-            below 0 if the damper supplied energy. None if the vehicle has no semi-active dampers.
+        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest power; negative if the
+            damper supplied energy. None if the vehicle has no semi-active dampers.
     """
 
     road: float

@@ -1,4 +1,4 @@
-"""Comparison of a simulation with the exact equations, step by step and signal by signal, even if no linear response applies.
+"""Compares a simulation with the exact equations, step by step and signal by signal, even if the motion is not linear.
 
 The signals at one sample determine the state. A step of RK4 with the equations of the vehicle file then gives the signals at the
 next sample. The simulated signals must be the same up to rounding errors. The equations include rotating bodies, nonlinear
@@ -36,10 +36,10 @@ from sim.observers.results import StepAgreement
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
-# difference relative to the peak; the largest observed difference is 1e-12 per step, and a force that is wrong by 1e-4 causes
-# at least 1e-8
+# allowed difference of a signal per step, relative to the peak; at most 1e-12 was observed, and a force that is wrong by 1e-4
+# causes at least 1e-8
 EXACT = 1e-10
-UNIT = 1024.0  # N; force with which the response of the accelerations to a force is computed; the response is linear
+UNIT = 1024.0  # N; force that is applied to find how accelerations respond to a force; the response is linear
 
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
@@ -118,7 +118,7 @@ class _Starts:
         heights: road heights at the starts and after the last step [m], shape (K + 1, r).
         midway: road heights that are held during the steps [m], shape (K, r).
         loads: loads that are held during the steps, see `RoadInput.held_inputs`.
-        there: signals of `Motion.names` and states of parts at the ends of the steps, shape (K, p + k).
+        there: simulated signals of `Motion.names` and states of parts at the ends of the steps, shape (K, p + k).
         stages: forces, or coefficients of dampers relative to the nominal ones, at RK4's four stages, shape (K, m) each.
     """
 
@@ -185,9 +185,9 @@ def _pulls(
     p, so p = b (a + R p). A complex step along a motion gives the exact change of these rates.
 
     Args:
-        given: commands that act during the stage.
+        given: commands that act during the RK4 stage.
         own: states of the vehicle's parts.
-        seen: list that receives the deflections and their rates as its first entry.
+        seen: list to which the function appends deflections and their rates; the first entry belongs to the given states.
         state, heights, inputs, loads: arguments of `Motion.rate`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Twin: the exact linear response of each run, computed during the run and compared with its signals."""
+"""Twin: the exact linear response of each run, which is computed during the run and compared with the simulated signals."""
 
 from typing import Protocol
 
@@ -24,7 +24,7 @@ class Twin:
     """Comparison of N runs of linear laws with their exact linear responses.
 
     Attributes:
-        meter: meter that receives the linear responses; None to compare only the states.
+        meter: meter that receives the outputs of the linear responses; None if only the states are compared.
     """
 
     def __init__(self, batch: Batch, ends: Ends, meter: "SignalMeter | None" = None) -> None:

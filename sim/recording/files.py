@@ -43,7 +43,7 @@ def record(
         stem: common name of the files, without suffix.
         runs: runs with distinct names.
         metadata: metadata of all runs.
-        attachments: (media type, content) by name. Only the MCAP file contains them, because Rerun files have no attachments.
+        attachments: media type and content of each, by name. Only the MCAP file has attachments; Rerun files cannot have them.
 
     Returns:
         Paths of the files: `mcap`, `layout` and `rerun`.
@@ -60,7 +60,7 @@ def record(
     if len(set(names)) < len(names):
         raise InputError(f"the runs have the names {', '.join(names)}; give each run a different name")
     try:
-        # The temporary files are in the same folder as the final files, so that renaming them at the end moves no data.
+        # The temporary files are in the folder of the final files, so that the renaming at the end does not copy data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
             written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)

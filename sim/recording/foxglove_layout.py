@@ -31,7 +31,7 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 
 def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog], name: str) -> Any:
-    """Adds the panels of one or all runs.
+    """Adds the panels for one run or for all runs.
 
     For a single run, the car and the events are on the left; for all runs, the cars are above the plots.
     """
@@ -45,7 +45,7 @@ def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog]
 
 
 def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str) -> Any:
-    """Adds the plots of a page in rows, with the differences below the rows."""
+    """Adds the plots of a page in rows, and the plots of differences below the rows."""
     ids = [_plot(panels, runs, plot, f"{name} {page.title} {i}") for i, plot in enumerate(page.plots)]
     rows = [_stack("row", ids[start : start + page.columns]) for start in range(0, len(ids), page.columns)]
     if not page.difference:
@@ -128,7 +128,7 @@ def _field(runs: Sequence[RunLog], curve: Curve, name: str) -> str:
 
 
 def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """Returns a single page unchanged; for several pages, adds a tab panel that contains them."""
+    """Adds a tab panel that contains all pages; returns a single page unchanged."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"

@@ -1,4 +1,4 @@
-"""Messages with a run's scene and events in Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
+"""Messages that contain a run's scene and events, with Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
 
 After a jump in time, players use the last message of each topic. Every message of `/scene` and `/transforms` is therefore
 complete. The shapes do not change, and are written once to their own topic `/shapes`.
@@ -32,8 +32,8 @@ from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, stru
 
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
-SHORTEST = 1e-3  # a force whose arrow would be shorter than this length [m] is not drawn
-# moving points are rounded to a grid of this size [m], 0.25 mm; rounding reduces their compressed size to a third
+SHORTEST = 1e-3  # m; a force is not drawn if its arrow would be shorter than this
+# m, spacing of the grid to which moving points are rounded, about 0.25 mm; rounding reduces their compressed size to a third
 GRID = 2.0**-12
 
 Messages = Iterator[Any]
@@ -101,7 +101,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
-    """Yields struts, tyres and arrows of control forces. The arrow of a force of `largest` [N] has the full length."""
+    """Yields struts, tyres and arrows of control forces. A force of `largest` [N] has the longest arrow."""
     scene = run.scene
     struts = [
         _pack_points(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)
@@ -119,7 +119,7 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
         tyres.append((tyre, surfaces, _pack_points(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     pushed = arrows(scene, largest).values()
     for index, time in enumerate(times):
-        # each part is created inside its message, because a finished part would be copied into the message point by point
+        # each primitive is created inside its message; a finished primitive would be copied into the message point by point
         update = SceneUpdate()
         entity = _add_entity(update, time, frame(run), "struts")
         for look, points in zip(looks, struts, strict=True):

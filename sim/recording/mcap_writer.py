@@ -25,7 +25,7 @@ from sim.recording.scene import largest_force
 PACKAGE = "roadproof"
 
 
-Schema = tuple[str, str, bytes]  # name, encoding and data of a schema
+Schema = tuple[str, str, bytes]  # name, encoding and data of a message schema
 # A channel consists of topic, schema, metadata, times [ns] and messages
 Channel = tuple[str, Schema, dict[str, str], Sequence[int], Iterable[bytes]]
 

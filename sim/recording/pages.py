@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
 
 # Label, opacity and line width of each response. Rerun draws curves in the order of their names, so MuJoCo's line is drawn
-# last, as a thin line over broader ones.
+# last, as a thin line over the broader lines.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
 NEUTRAL = "#8c8c8c"  # grey replaces the black of the report, because the background of a viewer can be dark or light
 LOG_COLOUR = "#ff9f1c"  # colour of a measured log
-# colours of curves that do not show a run
+# colours of curves that are not responses of a run
 PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]
 
 TRAVEL = "suspension_deflection"
-# signals that the first page shows for one corner of a car
+# signals of one corner of a car that the first page shows
 OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")
-ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # unit of each quantity on the last page
-UNGROUPED_SIGNALS = 8  # if a vehicle has more signals than this, they are divided into groups
+ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # road quantities on the last page, with their units
+UNGROUPED_SIGNALS = 8  # largest number of signals that are plotted without a division into groups
 MOST_ACTIVE = 6  # largest number of controller states that are plotted; the log also contains all other states
 CONTROLLER = "controller"  # name of the page that shows the states of a controller
-SEEN = 6  # largest number of plots on one page; a larger number would make each plot too flat
-GAP = "difference"  # topic that contains the differences between responses
+SEEN = 6  # largest number of plots on one page; with more plots, each plot would be too flat
+GAP = "difference"  # topic of the differences between the MuJoCo and sampled responses
 DIFFERENCE = "difference: MuJoCo - sampled, relative to each signal's peak"
 
 
@@ -69,7 +69,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Page of plots: title, plots in rows, group of the signals, and differences of this group, shown below the plots."""
+    """Page of plots: its title, plots in rows, the group of its signals, and the differences of these signals below the plots."""
 
     title: str
     plots: tuple[Plot, ...]

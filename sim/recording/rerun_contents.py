@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 TIMELINE = "time"
 
-ROOM = 1.15  # half of a diagram's width, relative to the largest value
-GROUND = 13  # brightness of red, green and blue in Rerun's background
-READ = 4000  # largest number of characters of one metadata value that a page shows; enough for a gain from 45 states
+ROOM = 1.15  # half the width of a diagram, relative to the largest value in the diagram
+GROUND = 13  # red, green and blue value of Rerun's background colour, from 0 to 255
+READ = 4000  # largest number of characters that a page shows of one metadata value; enough for a gain with 45 states
 
 # Shape and colour of the marker of each event, by the event's text; no curve has one of these colours. A cross marks any other
 # event.
@@ -59,7 +59,7 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
-# the time axis extends beyond the end of the run by this share of its duration; otherwise, a plot would cut off the last label
+# fraction of the run's duration by which the time axis extends beyond its end; otherwise, a plot would cut off the last label
 AFTER_END = 0.04
 
 
@@ -99,7 +99,7 @@ def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve
 
 
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Logs all data that is plotted: responses, differences, loads, and drawings of the diagrams.
+    """Logs all plotted data: responses, differences, loads, and drawings of the diagrams.
 
     A response is at `signals/<signal>/<response>`, in a shade of the run's colour. The difference MuJoCo minus sampled, relative
     to the peak of each signal, is at `difference/<group>`. Loads over time are at `acting/loads/<load>`, and diagrams are at
@@ -209,7 +209,7 @@ def _cut(text: str) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """Returns a Markdown table of the certificates of all runs, followed by each different result with the names of its runs."""
+    """Returns a Markdown table of the certificates of all runs, followed by the verdicts, each with the names of its runs."""
     keys, results = ("bound", "norm", "stable"), list[tuple[str, str]]()
     for run in runs:
         first = f"; first: {run.events[0][1]}, {WHEN.text(run.events[0][0])}" if run.events else ""

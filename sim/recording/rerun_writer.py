@@ -41,12 +41,12 @@ SIGHT = np.array([-0.45, -1.0, -0.14])
 FROM_BEHIND = np.array([1.0, -0.35, -0.14])  # direction of view for a vehicle in the roll plane, slightly from the left
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # tangent of half of Rerun's vertical field of view
 SKY = (206, 214, 224)  # background colour, against which black tyres are visible
-ROUNDING = 1e-9  # if one end of a curve's range is smaller than this share of the other end, the smaller end counts as 0
-CARS = 3.6  # ratio of width to height of the area that shows all cars, in a window of 1600 x 900 pixels
-# width of a letter relative to a window of 1600 pixels, and number of letters in a row of the certificate table, excluding the
-# name
+ROUNDING = 1e-9  # if one end of a curve's range is smaller than this multiple of the other end, the smaller end counts as 0
+CARS = 3.6  # ratio of width to height of the area that shows all cars, if the window has 1600 x 900 pixels
+# width of a letter relative to the width of a window of 1600 pixels, and number of letters in a row of the certificate table
+# without its name
 LETTER, LETTERS = 6 / 1600, 34
-MARGIN = 0.04  # share of a plot's range that is added as a margin, so that no peak touches the border
+MARGIN = 0.04  # margin of a plot's axis, relative to the range of its values, so that no peak touches the border
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
@@ -96,7 +96,7 @@ def _tab_container(pages: Sequence[rrb.Container]) -> rrb.Container:
 
 
 def _plots(page: Page, runs: Sequence[RunLog]) -> rrb.Container:
-    """Returns a page of plots with the differences below."""
+    """Returns a page of plots, with the plots of differences below them."""
     views = [_view(plot, runs, i == 0) for i, plot in enumerate(page.plots)]
     grid = rrb.Grid(*views, grid_columns=page.columns, name=page.title)
     if not page.difference:
@@ -177,7 +177,7 @@ def extremes_text(curves: Sequence[Array]) -> str:
 
 
 def value_axis(curves: Sequence[Array]) -> rrb.ScalarAxis | None:
-    """Returns an axis that contains all finite values of curves.
+    """Returns a value axis that contains all finite values of curves.
 
     If there are no finite values, the result is None, and Rerun chooses the axis.
     """

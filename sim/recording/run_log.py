@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 # Version that defines the values of signals at a sample; a log without a version follows the definition of `RoadInput.earlier`
 SIGNALS = 2
-NAME = re.compile(r"[\w-]{1,120}")  # allowed name of a run: the name of its controller, to which a command may add text
+NAME = re.compile(r"[\w-]{1,120}")  # allowed name of a run: its controller's name, to which a command may add text
 RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
 # Names of a run's responses: topics in an MCAP file, entities in a Rerun file. The exact sampled response is called `linear` in
 # files and in result.json, but "sampled" everywhere else.
@@ -34,7 +34,7 @@ class RunLog:
     Attributes:
         name: name of the run, usually that of its controller.
         responses: responses by topic: simulated by MuJoCo, exact sampled, and of the paper's continuous loop.
-        metadata: claims about the run, as text by key. Structured values are JSON.
+        metadata: claims about the run (its properties and results), as text by key. Structured values are JSON.
         events: time [s] and text of each event: lift-off, landing, divergence.
         summary: design and verdict, as Markdown.
         scene: drawing of the vehicle over time.
@@ -43,8 +43,8 @@ class RunLog:
             name.
         other_signals: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
         diagrams: diagrams of damper and spring forces over velocity or deflection.
-        active: states of the controller, sorted by their contribution to the force, the largest first. Viewers show only the
-            first few states.
+        active: names of the controller's states, sorted by their contribution to the force, the largest first. Viewers show
+            only the first few states.
     """
 
     public_name = "a log, such as sim.run_log returns"

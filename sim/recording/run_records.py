@@ -46,10 +46,10 @@ FORMS = {
 }
 
 FRAMES = 60  # frames of the recorded motion per second
-LONGEST = 60  # largest number of letters that the name of a log takes from the vehicle file's name
+LONGEST = 60  # largest number of letters of the vehicle file's name that are used in the name of a log
 
-BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start, and ahead of the first wheel at the end [m]
-# spacing of the points of a road profile [m], and largest number of its points, apart from those under wheels
+BEHIND, AHEAD = 6.0, 12.0  # m, drawn road behind the last wheel at the start, and ahead of the first wheel at the end
+# spacing of the points of a road profile [m], and largest number of its points, without the points under wheels
 SPACING, MOST = 0.05, 20_000
 
 
@@ -228,12 +228,12 @@ def record_runs(
 
 
 def _attachment_name(what: str, suffix: str, content: bytes) -> str:
-    """Returns the name of an attachment. The name contains a hash, so that runs share equal attachments."""
+    """Returns the name of an attachment. The name contains a hash of the content, so that runs share equal attachments."""
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 
 def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
-    """Returns the claims of a run, which `sim.inspect` verifies, and the attachments for these claims: (media type, content)."""
+    """Returns a run's properties and results, which `sim.inspect` verifies, and their attachments as (media type, content)."""
     vehicle, road, controller, agreement = run.vehicle, run.road, run.controller, run.agreement
     files: dict[str, tuple[str, bytes]] = {}
     named: dict[str, str] = {}

@@ -122,7 +122,7 @@ class Scene:
         bodies: motion of every body that carries a solid, by name.
         springs: ends of each spring with its damper, at the wheel and at the body [m], shape (F, 2, 3), by name.
         tyres: tyres that deform.
-        forces: control forces that push the ends of a spring apart [N], shape (F,), by name of the spring.
+        forces: control forces [N], shape (F,), by name of the spring; a positive force pushes the ends of the spring apart.
         tracks: profiles of the road.
     """
 
@@ -137,7 +137,7 @@ class Scene:
     def finite(self) -> "Scene":
         """Returns the scene with only the frames in which all numbers are finite.
 
-        The car then stops when a run becomes invalid.
+        The drawn car then stops when a run becomes invalid.
         """
         numbers = [part for motion in self.bodies.values() for part in (motion.positions, motion.quaternions)]
         numbers += [*self.springs.values(), *self.forces.values(), *(tyre.height for tyre in self.tyres)]
@@ -164,7 +164,7 @@ class Scene:
         return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
 
     def extent(self) -> tuple[Array, Array]:
-        """Returns the lowest and highest corner of all solids and tyres over all frames [m], with their first orientations."""
+        """Returns two corners of a box around all solids and tyres in all frames [m]; solids keep their first orientations."""
         corners = []
         for shape in self.shapes:
             motion = self.bodies[shape.body]
@@ -183,7 +183,7 @@ class Scene:
         return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-TURNS, POINTS = 6, 49  # number of turns of a drawn coil spring, and number of points of its line
+TURNS, POINTS = 6, 49  # number of turns of a drawn coil spring, and number of points of the line that draws it
 SECTORS = 40  # number of sectors of a drawn tyre
 
 # Radius [m] and colour of the lines that draw a strut: coil spring, rod and tube.

@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     from sim.report.command import write_gallery, write_reports
 
-    # If Python code calls `main`, it starts no child processes
+    # Child processes are used only by the command, not if Python code calls `main`
     return write_gallery(options) if options.gallery else write_reports(options, arguments is None)
 
 

@@ -32,8 +32,8 @@ ENERGY: tuple[Field[Energy], ...] = (
     ALLOWED,
 )
 DIAGRAM_POINTS = 60  # approximate number of points that show a MuJoCo run in a diagram
-ROOM = 1.15  # length of both axes, relative to the largest value
-# largest number of controllers whose order of convergence is computed, because each needs a run with twice as many steps
+ROOM = 1.15  # limit of both axes of a diagram, relative to the largest value
+# largest number of controllers whose order of convergence is computed; each of them needs another run with twice as many steps
 MOST_ORDERS = 4
 Finer = Mapping[str, SignalAgreement]  # agreement of each signal when the run is repeated at half the timestep
 NAME = Field[Run]("controller", lambda run: run.controller.name)
@@ -76,7 +76,7 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
     Args:
         scope: subject of the report.
         runs: runs of all controllers over the road.
-        measured: metrics of these runs; empty for the bump.
+        measured: metrics of these runs; empty if the road is the bump.
         when: text that describes the measured time.
     """
     road, text, title = scope.own_road, (), "Response to the road"
@@ -194,13 +194,13 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
 
 
 def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
-    """Returns the order with which a difference decreases with the timestep; None if rounding, noise or geometry causes it.
+    """Returns the order of convergence of a difference; None if rounding, noise or geometry causes the difference.
 
     Args:
         run: run at the timestep of the report.
         finer: agreement of a run at half the timestep; None if it was not simulated.
         name: name of the signal.
-        to: reference of the difference, "sampled" or "continuous".
+        to: response from which the difference is measured, "sampled" or "continuous".
     """
     if finer is None or run.prediction.cause:
         return None
@@ -209,7 +209,7 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
 
 
 class ResponseStudy(Study[None]):
-    """Study that adds the section about the runs over the road to a page."""
+    """Study that adds a section to a page: the runs over the road."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -217,7 +217,7 @@ class ResponseStudy(Study[None]):
 
 
 class AgreementStudy(Study[dict[str, Finer]]):
-    """Study of the difference between MuJoCo and linear analysis over the road of a page.
+    """Study of the difference between MuJoCo and linear analysis over the road of the page.
 
     Runs at half the timestep give the order of convergence.
     """

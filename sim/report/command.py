@@ -189,7 +189,7 @@ def _write_report(
     return result
 
 
-# Options that the page of the gallery does not have
+# Options that are not allowed with the page of the gallery
 OF_A_VEHICLE = ("controller", "vehicle", "one_page", "quick", "front", "load", "as", "timestep", *ROAD)
 
 
@@ -222,7 +222,7 @@ def write_gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns how a page was made, as texts by name: time, command, vehicle file and versions of packages."""
+    """Returns texts by name that state how a page was made: time, command, vehicle file and versions of packages."""
     return {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
@@ -250,7 +250,7 @@ def _write(page: Page, outputs: Mapping[str, Path | None]) -> None:
 
 
 def _files(page: Page) -> list[tuple[Figure | Table, tuple[str, ...]]]:
-    """Returns the figures and tables of a page with the names of their files."""
+    """Returns the figures and tables of a page, by the names of their files."""
     figures = [(one, (f"{one.name}.svg", f"{one.name}.png")) for one in page.whole.figures]
     return [*figures, *((one, (f"{one.name}.csv",)) for one in page.whole.tables)]
 

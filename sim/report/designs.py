@@ -23,7 +23,7 @@ from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
-# Hz; the range begins below the natural frequency of the body and ends above that of the wheel
+# Hz; the frequencies range from below the natural frequency of the body to above that of the wheel
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)
 
 
@@ -47,7 +47,7 @@ def design_section(scope: Subject) -> Document:
 
 
 def _loops(scope: Subject) -> list[Statement]:
-    """Returns statements about the implementation, unstable loops, missed goals, and laws without linear analysis."""
+    """Returns statements about implementation, unstable loops, missed goals, and laws to which linear analysis does not apply."""
     statements, vehicle = list[Statement](), scope.vehicle
     built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
     if built:
@@ -123,7 +123,7 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
 
 
 def per_unit(unit: str, other: str) -> str:
-    """Returns the unit of a quotient, such as N/m or N·s/m."""
+    """Returns the unit of a quotient of two quantities, such as N/m or N·s/m."""
     over, _, under = other.partition("/")
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
@@ -178,7 +178,7 @@ def other_ways(designer: Designer) -> Table:
 
 
 class DesignsStudy(Study[None]):
-    """Study that adds the section about designs to a page."""
+    """Study that adds a section to a page: the designs of all controllers."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -186,7 +186,7 @@ class DesignsStudy(Study[None]):
 
 
 class PaperStudy(Study[Document]):
-    """Study that adds the numbers of the paper to a page about the paper's vehicle."""
+    """Study that adds a section to the page about the paper's vehicle: published and computed numbers."""
 
     seconds = 2.0
 

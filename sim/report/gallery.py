@@ -18,7 +18,7 @@ from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values
 
 POINTS, MARKS = 800, 25  # approximate number of points of a drawn line, and of markers that show MuJoCo
-BAND = 30.0  # a drawn frequency response extends from the published frequency by this factor in both directions
+BAND = 30.0  # the frequency axis reaches from 1 / `BAND` to `BAND` times the published frequency
 LOW, HIGH, ABOUT = 0.1, 100.0, 400  # lowest and highest frequency of a singular value plot [Hz], and number of its points
 
 
@@ -27,7 +27,7 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
 
     Args:
         results: entries with their compared numbers.
-        about: origin of the page by name, such as time and command.
+        about: texts by name that state how the page was made, such as time and command.
     """
     found = summary(results)
     headline, *said = found.statements
@@ -83,7 +83,7 @@ def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> 
     Args:
         run: run with the signal.
         peaks: published peaks of the signal in this run.
-        one: number that defines signal, unit and scale.
+        one: published number that defines the signal, its unit and the scale of the axis.
     """
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
     some, marks = drawn_indices(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))

@@ -45,7 +45,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
         scope: subject of the report.
         provenance: texts by name that state how the report was made, such as time and command.
         begin: function that starts requests and returns a function that waits for their results, such as `Processes.begin`.
-        progress: callback that receives the name of the current study.
+        progress: callback that receives the name of each study when it begins.
     """
     # The copy of `scope` omits the cached runs, because transferring them would take long
     answers = begin(requests_of(replace(scope)), progress)

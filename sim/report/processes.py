@@ -21,7 +21,7 @@ Name = tuple[str, str]  # name of a request: the study that it belongs to, and i
 
 
 def processes(quick: bool) -> int:
-    """Returns the best number of processes: 0 on a single core, and 0 for a quick report, which takes less time than imports."""
+    """Returns the best number of child processes: 0 on a single core or for a quick report, which is faster than imports."""
     return 0 if quick else min(cores() - 1, MOST)
 
 
@@ -45,7 +45,7 @@ class Processes:
     def __exit__(self, kind: object, *error: object) -> None:
         if self._pool is None:
             return
-        if kind is not None:  # an error occurred, so the results are not needed
+        if kind is not None:  # after an error, the remaining results are not needed
             for child in multiprocessing.active_children():
                 child.terminate()
         self._pool.shutdown(cancel_futures=True)

@@ -37,7 +37,7 @@ def first_screen(
         scope: subject of the report.
         runs: runs of all controllers over the road.
         compared: scores of the controllers.
-        dive: dive angle under braking [deg] by controller; empty for a vehicle that cannot pitch.
+        dive: dive angle under braking [deg] by controller; empty if the vehicle cannot pitch.
         where: text that describes the roads of the comparison, see `compared_on`.
     """
     more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), three_digits, unit="deg")] if dive else []
@@ -97,7 +97,7 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
         scope: subject of the report.
         runs: runs of all controllers over the road.
         ends: bump height at which the linear regime of each controller ends.
-        wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
+        wrong: names of controllers whose runs disagree with linear analysis. The section states no bump height for them.
     """
     vehicle = scope.vehicle
     certificates = {one.name: one.certificate for one in scope.controllers if one.certificate.stable}
@@ -137,5 +137,5 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
 
 
 def _height(end: RegimeEnd) -> str:
-    """Returns the bump height at which the linear regime ends in MuJoCo, or a text if this is not the predicted height."""
+    """Returns the bump height at which the linear regime ends in MuJoCo; a text if it differs from the predicted height."""
     return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

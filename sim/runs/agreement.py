@@ -1,4 +1,4 @@
-"""Verdict on a run: do the steps of MuJoCo follow the vehicle's equations, and the commands the control law?
+"""Verdict on a run: do the steps of MuJoCo follow the vehicle's equations, and do the commands follow the control law?
 
 A run agrees if two local checks hold:
 
@@ -14,8 +14,8 @@ Linear analysis applies to such a run because the equations are linear, or nearl
 computes the difference only if it is needed. The verdict does not need it.
 
 A vehicle type with rotating bodies but without equations of motion is checked to first order. The run is repeated on the same
-road with its height multiplied by `SMALL`. The relative difference from the linear response must then be smaller by the same
-factor.
+road with its height multiplied by `SMALL`. The relative difference from the linear response must then be smaller by the factor
+`SMALL`.
 """
 
 import math
@@ -42,10 +42,10 @@ from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreem
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
 
-ROUNDING = 1e-9  # largest rounding error that thousands of steps cause, relative to a peak
-# largest error of RK4, relative to a peak, in an accurate run; if the error is larger, the time step is too coarse
+ROUNDING = 1e-9  # largest rounding error of a signal after thousands of steps, relative to the signal's peak
+# largest error of RK4 in an accurate run, relative to a signal's peak; if the error is larger, the time step is too coarse
 COARSEST = 1e-2
-SMALL = 1e-2  # at a road height reduced by this factor, nonlinear geometry must have no effect
+SMALL = 1e-2  # factor for the road height; on a road that is this low, nonlinear geometry must have no effect
 NO_REFERENCE = "no linear analysis"
 # Factor that multiplies the predicted error of the integrator, because the prediction is a maximum over time for one of two
 # nearly equal curves
@@ -63,7 +63,7 @@ class SignalAgreement:
             includes the effect of holding the force over a step. NaN if there is no such response.
         allowed: bound on `sampled` due to the error of RK4 and rounding; NaN if the difference has no bound.
         scale: value to which the differences are relative [unit of the signal].
-        small: value of `sampled` for the same road at `SMALL` of its height; None if it was not needed.
+        small: value of `sampled` for the same road with its height multiplied by `SMALL`; None if it was not needed.
     """
 
     sampled: float
@@ -74,10 +74,7 @@ class SignalAgreement:
 
     @property
     def excess(self) -> float:
-        """Difference relative to the allowed value.
-
-        If the run was repeated on a lower road (`SMALL`), it is the difference there.
-        """
+        """Difference divided by the allowed value. If the run was repeated on a lower road (`SMALL`), that difference counts."""
         if self.small is None:
             return self.sampled / self.allowed
         return self.small / (SLACK * SMALL * self.sampled + self.allowed)
@@ -190,7 +187,7 @@ class Agreement(LinearComparison, ShownResult):
 
     @property
     def agrees(self) -> bool:
-        """True if all known checks of steps and commands hold, and at least something was compared."""
+        """True if all known checks of steps and commands hold, and at least one comparison was made."""
         checked = self.until > 0 or (self.steps is not None and self.steps.until > 0)
         checks = (self.steps, self.commands, self.code_effect)
         return checked and self.follows_linear and all(one is None or one.agrees for one in checks)
@@ -219,7 +216,7 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
     # If an unstable loop's motion triples in every step, a hub may pass through the road and back within a step. The predicted
-    # deflections show whether it does.
+    # deflections show whether this happens.
     if prediction.is_linear and _passes_through(vehicle, physics):
         foretold = dict(zip(END_NAMES, end_times(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
         if foretold < until:
@@ -285,5 +282,5 @@ def _difference(response: Response, reference: Response, signal: str) -> float:
 
 
 def _scale(reference: Response, signal: str) -> float:
-    """Returns the value to which differences of a signal are relative: the reference's scale, or 1 if nothing moves."""
+    """Returns the value by which differences of a signal are divided: the scale of the reference, or 1 if nothing moves."""
     return (reference.scale(signal) if len(reference.time) else 0.0) or 1.0

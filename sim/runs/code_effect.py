@@ -19,7 +19,7 @@ from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
 OF_CODE = Field[str]("difference", str, ".2g")
-# largest change of a signal by exported code, relative to its peak; code with a larger effect does not implement the law
+# largest change of a signal due to exported code, relative to the signal's peak; code with a larger effect is not the law
 MOST = 1e-2
 
 
@@ -29,8 +29,8 @@ class CodeEffect:
 
     Attributes:
         numbers: number format of the code, see `ExportedLaw`.
-        apart: difference of each output signal at every sample by name, until one of the runs diverges.
-        share: largest difference of all signals, relative to the scale of the signal, as long as linear analysis applies.
+        apart: difference between the two runs at every sample, by output signal, until one of the runs diverges.
+        share: largest difference among all signals, each relative to the signal's scale, as long as linear analysis applies.
         signal: name of the signal with the largest difference.
         law_agrees: True if the run with the law itself agrees with the model.
         clipped_readings: names of measurements that exceed their fixed-point range, where the code clips them.
@@ -100,7 +100,7 @@ DIFFERENCES = Record[CodeEffect](_differences)
 
 
 def code_notes(effect: CodeEffect, vehicle: Vehicle) -> list[str]:
-    """Returns a sentence on exported code and its distance from the control law."""
+    """Returns a sentence on exported code and on how much it changes the signals compared with the control law."""
     line = f"the controller runs as compiled code in {effect.numbers}"
     if effect.clipped_readings:
         return [

@@ -16,7 +16,7 @@ from sim.drive.response import Response
 from sim.linear.dampers import closing_velocities, commands_of, squarable
 from sim.runs.result import RunResult
 
-# if the dampers fail to produce more than this share of the requested force, linear analysis does not describe the run
+# if more than this fraction of the requested force is missing, linear analysis does not describe the run
 HALF = 0.5
 COEFFICIENT = Field[float]("coefficient", float, ".4g", unit="N s/m")
 
@@ -27,9 +27,9 @@ class Shortfall:
 
     Attributes:
         rms: rms of the missing force relative to the rms of the requested force; 0 if no force was requested.
-        time: share of the samples at which force is missing.
+        time: fraction of the samples at which force is missing.
         softest, hardest: smallest and largest damping coefficient [N s/m], or smallest and largest voltage [V].
-        late: like `rms`, but including the force that is missing due to the lag of the valve; None if the valve has no lag.
+        late: like `rms`, but with the force that is missing due to the lag of the valve added; None if the valve has no lag.
     """
 
     rms: float

@@ -1,9 +1,9 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 In a linear loop, the modes determine the motion from sample to sample. A constant matrix therefore maps the state signals at a
-few successive samples to their values one sample later. This matrix is found by least squares. Its eigenvalues are the
-eigenvalues of the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With
-characteristics or large angles, the result is the linear loop that fits the whole decay best.
+few successive samples to their values one sample later. This matrix is found by least squares. Its eigenvalues give the
+frequencies and damping ratios of the modes. Singular values at the level of rounding are removed, so that modes without motion
+have no effect. With characteristics or large angles, the result is the linear loop that fits the whole decay best.
 """
 
 import math
@@ -17,10 +17,10 @@ from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states
 from sim.runs.result import RunResult
 
-PER_PERIOD = 8  # number of samples in each period of the vehicle's fastest mode
+PER_PERIOD = 8  # number of samples per period of the vehicle's fastest mode; the decay is analysed at these samples
 LATER = 3  # number of successive samples in one block; a block also contains the effect of states that are not signals
-SMALLEST = 1e-6  # smaller singular values, relative to the largest one, are removed
-SHARE = 0.01  # smallest share of the decay's energy with which a mode is reported
+SMALLEST = 1e-6  # singular values below this multiple of the largest singular value are removed
+SHARE = 0.01  # a mode with a smaller fraction of the decay's energy is not reported
 FEWEST = 40  # smallest number of samples from which a decay is analysed
 
 FREQUENCY = Field[float]("frequency", float, ".4g", unit="Hz")
@@ -35,7 +35,7 @@ class Mode:
     Attributes:
         frequency: undamped natural frequency |s| / (2 pi) [Hz].
         damping_ratio: -Re s / |s|; 1 for a mode that does not oscillate.
-        share: share of this mode in the energy of the signals, each relative to its peak.
+        share: fraction of the signals' energy that is due to this mode; each signal is divided by its peak.
     """
 
     frequency: float

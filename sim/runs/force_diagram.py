@@ -17,7 +17,7 @@ from sim.drive.response import Response
 if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
 
-PREFIX = "suspension_deflection"  # names of suspensions begin with this text in the built-in vehicle types
+PREFIX = "suspension_deflection"  # the names of suspension deflections in the built-in vehicle types begin with this text
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Diagram:
 
     Attributes:
         title: title with the name of the parameter and its place.
-        over: name of the argument, with its unit.
+        over: name and unit of the argument.
         argument, pull: signals of the argument and of the force in a log.
         x: function that returns the argument in a response, shape (T,).
         force: function of the argument and a response that returns the force, positive if it contracts the suspension [N],
@@ -151,7 +151,7 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
 
 
 def _suspension_suffix(deflection: str) -> str:
-    """Returns the part of a suspension's signal names that distinguishes the suspension from others."""
+    """Returns the suffix of a suspension's signal names that distinguishes this suspension from other suspensions."""
     return deflection.removeprefix(PREFIX) if deflection.startswith(PREFIX) else f"_{deflection}"
 
 

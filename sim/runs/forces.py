@@ -1,4 +1,4 @@
-"""Forces of a run over time that are attached to a log: loads on the body, and forces that a Python control law requested."""
+"""Histories of forces that are attached to a log: loads on the body, and forces that a Python control law requested."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,7 +47,7 @@ def _load_names(loads: Sequence[Load]) -> list[str]:
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]
 
 
-LONGEST = 26  # largest number of characters in a number and its separator
+LONGEST = 26  # largest number of characters of a number in the text, including its separator
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:

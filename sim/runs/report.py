@@ -1,4 +1,4 @@
-"""Reports on runs: documents, and the events of their logs. Only text and pages need this module; JSON is in `record`.
+"""Reports on runs: documents, and the events that logs contain. Only text and pages need this module; JSON is in `record`.
 
 `describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
 sentences.
@@ -64,7 +64,7 @@ LEFT_OUT = re.compile(r"\.\.\.(?= (?:s\b|%))")
 EXCHANGED = Field[Energy]("exchanged", attrgetter("turnover"), JOULES.form, unit="J", column="turned over [J]")
 RESIDUAL = Field[Energy]("residual", attrgetter("residual"), "{:.1e}".format, column="left over")
 ALLOWED = Field[Energy]("allowed", attrgetter("allowed"), "{:.1e}".format)
-FAR_OFF = 100.0  # if a linearisation's error is larger than this multiple of a peak, its loop is unstable
+FAR_OFF = 100.0  # the linearised loop is unstable if its error exceeds this multiple of a peak; the error is then not printed
 LENGTH = Field[float]("duration", float, ".3g", unit="s")
 WHOLE = "signal, over the whole run"
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
@@ -121,7 +121,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 
 
 def claims(controller: AnyController) -> str:
-    """Returns the norm and the bound of a controller as text, or the reason why there are none."""
+    """Returns the norm and the bound of a controller as text, or the reason why it has no norm and bound."""
     if controller.linear is False:
         return f"linear analysis does not apply ({controller.kind})"
     certificate = controller.certificate
@@ -174,7 +174,7 @@ def verdict(run: RunResult) -> Statement:
 
 
 def _when(run: RunResult) -> str:
-    """Returns the time until which linear analysis applies, and the event that ends it, as text."""
+    """Returns, as text, the time until which linear analysis applies and the event after which it does not apply."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
         return "over the whole run"
@@ -231,10 +231,10 @@ def joined_names(names: Sequence[str]) -> str:
 def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     """Returns sentences on a run: its events, checks, differences from linear analysis, and energy balance.
 
-    If a run passes and remains in the linear range, all its sentences are details.
+    If a run passes and remains in the linear range, all sentences about it count as details.
 
     Args:
-        full: False to omit details, which need the linear responses.
+        full: False to omit the details; computing them requires the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
     contact = FEATURES.load("stops that a run reaches").stop_note(run) if run.vehicle.parts.strokes else ""
@@ -393,7 +393,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     """Describes a run as a document: verdict, norm and bound of the controller, signals, and the reasons for the verdict.
 
     Args:
-        passive: MuJoCo's response of the passive vehicle, with which the signals are compared; None for no comparison.
+        passive: MuJoCo's response of the passive vehicle, with which the signals are compared; None to omit this comparison.
     """
     code = run.agreement.code_effect
     tables = [signal_table(run, passive)]
@@ -427,7 +427,7 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
-    """Returns the table of all signals: peak and rms in MuJoCo, changes from passive, and errors to linear analysis.
+    """Returns the table of all signals: peak and rms in MuJoCo, changes from the passive vehicle, and errors of linear analysis.
 
     Peak and rms are those of the whole run. Errors are measured as long as linear analysis applies, relative to the peak.
     Pages and logs also contain peak and rms of the linear responses.

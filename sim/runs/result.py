@@ -19,7 +19,7 @@ from synth.controller.controller import AnyController
 
 COARSE = "the timestep is too coarse for accurate numbers"
 NOT_REPEATABLE = "no command is compared: the control law is not repeatable, as its answers to the same measurements differ"
-ADVICE = {  # advice for the user, for each reason why a run is undecided
+ADVICE = {  # advice to the user by reason why the checks of a run are undecided
     COARSE: "give a smaller timestep",
     NOT_REPEATABLE: "seed its random numbers, and keep its state in `state`, or reset the state in a method reset()",
 }
@@ -50,8 +50,8 @@ class RunResult:
         agreement: comparison of the simulation with analysis.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None for a run without its energy balance.
         energy: energy balance, or None if it is not computed.
-        half_step: accuracy of the simulation after a lift-off. None if no tyre lifted off, or the run became invalid. None also
-            if the measurements are noisy or quantised, because noise and quantisation differ at another time step.
+        half_step: accuracy of the simulation after a lift-off; None if no tyre lifted off, or if the run became invalid. With
+            noisy or quantised measurements, the value is also None, because noise and quantisation depend on the time step.
     """
 
     prediction: Prediction
@@ -137,5 +137,5 @@ class RunResult:
 
     @property
     def passed(self) -> bool:
-        """True if no check contradicts the analysis, and the energy balance, if it is evaluated, does not fail."""
+        """True if no check contradicts the analysis and the energy balance does not fail (if it is evaluated)."""
         return self.agreement.agrees and (self.energy is None or not self.energy.fails)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sim.drive.driver import RunDriver
     from sim.runs.code_effect import CodeEffect
 
-RK4_REACH = 2.7  # RK4 counts as stable for a first-order lag if rate times step is at most this; the exact limit is 2.785
+RK4_REACH = 2.7  # largest product of rate and time step at which RK4 counts as stable for a first-order lag; exactly 2.785
 MOST_SAMPLES = 1_000_000  # largest number of samples in a run; such a run takes 0.4 GB and half a minute
 STIFF = 1e-4  # s; a vehicle that needs a shorter time step is probably not given in SI units
 
@@ -199,10 +199,10 @@ def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Record
 
 
 def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:
-    """Adds positions, the energy balance, and the change at half the time step after a lift-off to runs.
+    """Adds positions, the energy balance and, after a lift-off, the change at half the time step to runs.
 
-    A run with an unusually large residual of its energy is also repeated at half the time step. A noisy run then repeats its
-    commands.
+    A run with an unusually large residual in its energy balance is also repeated at half the time step. If the run is noisy,
+    its commands are repeated.
 
     Args:
         runs: runs over the same sample times, with vehicles of the same type.
@@ -252,7 +252,7 @@ def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "R
     """Returns the driver that repeats a run: the law, or the commands if the law would respond differently at another time step.
 
     Args:
-        time: sample times of the repeated run [s]. The time step divides the time step of the prediction.
+        time: sample times of the repeated run [s]. The time step of the prediction is an integer multiple of this time step.
         share: factor for the forces of a Python control law.
     """
     if not prediction.controller.user_code and (share != 1 or not prediction.varies):

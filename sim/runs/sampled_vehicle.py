@@ -8,13 +8,13 @@ from models.characteristics.adjustable_range import CURVE_KEYS
 from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 
-OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators] whose values are also varied
+OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # keys of [actuators], in addition to parameters, whose values can be varied
 
 
 def damper_numbers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
-    """Returns for each damper parameter that can be varied its value and its forces, by name.
+    """Returns, by name, the damper parameters that can be varied, each with its value and the forces of its dampers.
 
-    There is one entry per damper with a number, and one for all dampers if their values are equal.
+    There is one entry for each damper whose value is a number, and one for all dampers together if their values are equal.
     """
     quantities: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:

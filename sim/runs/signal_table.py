@@ -36,7 +36,7 @@ def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
     """Writes columns over time. Cells without a finite number, and cells after the end of a column, are empty.
 
     Args:
-        path: path of the file. The file is written under another name, and gets this name when it is complete.
+        path: path of the file. The file is written under a temporary name, and renamed to `path` when it is complete.
         time: times of the longest column [s].
 
     Raises:

@@ -1,10 +1,10 @@
-"""Effect on the peaks of a run of the unknown road that comes before a measured road.
+"""Estimates how the unknown road before a measured road affects the peaks of a run.
 
 A simulated vehicle starts in steady motion on the plane that is fitted to the first 11 m of the road. In reality, the vehicle
 comes from a road that was not measured. This road may be as rough as the measured road itself. The model of the unknown road is
 the measured road, rotated by 180 degrees about its first point. The two roads therefore meet without a jump or a kink. The
-vehicle without control arrives from this road in a certain state. The difference of this state from the steady motion decays in
-the run's loop, and affects the run while it lasts.
+vehicle without control arrives from this road in a certain state. The difference between this state and the steady motion
+decays in the closed loop of the run, and affects the run until it has decayed.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ from sim.linear.rounding import roundings
 from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
-RUN_IN = 10.0  # s; longest time for which a run drives over the rotated road
-SAID_SHARE = 0.02  # an effect is reported if it exceeds this share of a peak
+RUN_IN = 10.0  # s; longest time for which the vehicle drives over the rotated road
+SAID_SHARE = 0.02  # an effect on a peak is reported if it exceeds this fraction of the peak
 # An effect counts as zero if it is smaller than this multiple of the rounding error of its state or signal
 ROUNDING_FACTOR = 1e3
 

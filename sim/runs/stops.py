@@ -18,7 +18,7 @@ class Touch:
 
     Attributes:
         side: side of the stop, one of `SIDES`.
-        squeeze: travel beyond the stroke, which compresses the stop [m].
+        squeeze: compression of the stop, which is the travel beyond the free stroke [m].
         force: force of the stop [N].
         time: time of the deepest contact [s].
     """

@@ -17,9 +17,9 @@ from sim.runs.result import RunResult
 
 POINTS = 24  # approximate number of points that show a MuJoCo run
 OF_LINE = 600  # number of points of a drawn line
-NAMED_RUNS = 2  # largest number of runs that the title names because they leave the axis
-LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # line widths [points]; `FAINT` multiplies the width
-# largest number of oscillations that a line can show legibly; if a run has more, additional panels show its most severe part
+NAMED_RUNS = 2  # largest number of runs leaving the axis that the title of a panel lists by name
+LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # width of a line, also in a dense plot [points], and factor for a faint line
+# largest number of oscillations that one panel shows legibly; if a run has more, additional panels show its most severe part
 MOST_SWINGS = 80
 
 
@@ -61,8 +61,8 @@ class _Trace:
     def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
         """Returns lines, and points at about every `every`-th sample, until the signal leaves the axis.
 
-        The line shows the linear response until the linear regime ends, and the simulation after that. The linear response
-        continues as a thin line.
+        The line shows the linear response until the linear regime ends, and the simulation after that. A thin line continues
+        the linear response.
         """
         who, curves = self.run.controller.name, []
         line, physics = (response.until(np.nextafter(left, math.inf)) for response in (self.line, self.physics))
@@ -248,7 +248,7 @@ def _stays_bounded(run: RunResult) -> bool:
 
 
 def _least(runs: Sequence[RunResult]) -> str:
-    """Returns a sentence on the run with the lowest peak acceleration; empty for a single run."""
+    """Returns a sentence that states which run has the lowest peak acceleration; empty for a single run."""
     name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
     whole = [run for run in runs if name in {signal.name for signal in run.physics.signals} and run.broke_off is None]
     if len(whole) < 2:

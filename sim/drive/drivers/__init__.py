@@ -1,1 +1,1 @@
-"""Drivers of control laws, one file for each, and their registry."""
+"""Drivers of control laws, with one file per driver, and the registry of drivers."""

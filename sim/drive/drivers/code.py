@@ -1,7 +1,7 @@
 """Driver for exported code. The code receives the measurements and computes the commands of the actuators.
 
 Quantisation, delay, limits and anti-windup of the controller are part of the code. Sensor noise is added to the measurements
-before the code.
+before the code receives them.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
 
-NEARLY = 1 - 1e-6  # a limit counts as reached at this share of it, because rounding to float may make the limit smaller
+NEARLY = 1 - 1e-6  # a limit counts as reached at this fraction of its value, because rounding to float may reduce the limit
 
 
 class CodeDriver:
     """Exported code of N runs, each with its own state.
 
-    The code computes the commands. The forces that limits and dampers cut off are computed by the law itself, from the same
-    measurements and the states of the code. These lost forces are recorded as in a run with the law.
+    The code computes the commands. The parts of the forces that limits and dampers cut off are computed by the law itself, from
+    the code's measurements and states. These lost forces are recorded as in a run with the law.
     """
 
     ahead = 0

@@ -16,11 +16,11 @@ from synth.controller.controller import Controller
 if TYPE_CHECKING:
     from models.parts.damper_range import CoefficientRange
 
-IN_ORDER = 8  # from this number of terms on, NumPy adds pairs of terms first instead of one term after the other
+IN_ORDER = 8  # smallest number of terms for which NumPy adds pairs of terms, instead of one term after the other
 
 
 class LinearDriver:
-    """Linear laws of N runs with their anti-windup, and their forces from the road ahead."""
+    """Linear laws of N runs with their anti-windup and their preview forces."""
 
     ahead = 0
     requests: Request = "forces"
@@ -57,7 +57,7 @@ class LinearDriver:
                 FEATURES.load("damper ranges").range_of(vehicles, most),
                 command_limiter(vehicles, timestep),
             )
-            self._given = np.zeros((count, m))  # commands at the last sample, with which a rate limit is computed
+            self._given = np.zeros((count, m))  # commands at the last sample, for the rate limit
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)
         self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))

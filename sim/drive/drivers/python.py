@@ -25,7 +25,7 @@ def in_python(controllers: Sequence[PythonController], failures: dict[int, Failu
 
 
 class PythonDriver:
-    """Python control law or FMU of N runs, each with its own state. A vectorised law serves all its runs in one call."""
+    """Python control law or FMU of N runs, each with its own state. A vectorised law is called once for all its runs."""
 
     requests: Request = "forces"
 

@@ -1,4 +1,4 @@
-"""Driver for commands that are known in advance."""
+"""Driver that repeats recorded commands."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from sim.drive.driver import RecordedForces, Request
 
 
 class RecordedDriver:
-    """Known commands of N runs."""
+    """Recorded commands of N runs."""
 
     ahead = 0
     requests: Request = "commands"

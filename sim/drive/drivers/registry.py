@@ -15,7 +15,7 @@ def driver_of(
     """Returns the driver of N controllers with the same `driver_key`.
 
     Args:
-        name: name of a driver to use instead of the controllers' own.
+        name: name of a driver to use instead of the driver that belongs to the controllers.
         failures: dictionary that receives the failures of Python control laws, whose runs continue without forces; None to
             raise them.
         numbers: keys of the N runs in `failures`.
