@@ -231,7 +231,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     Args:
         section: keys for all dampers, and sections for single dampers; the name of a section is the suffix of the damper's
             force.
-        corners: for each control force, the suffix of its name, including the underscore.
+        corners: suffix of the name of each control force, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 
     Raises:

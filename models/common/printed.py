@@ -79,7 +79,7 @@ def percent(share: float) -> str:
 
 
 def size(rows: Sequence[Any]) -> str:
-    """Describes in words how many rows there are, and the time that they cover."""
+    """Returns the number of rows and of the numbers in a row, as a phrase."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"
 

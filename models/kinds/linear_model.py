@@ -23,8 +23,8 @@ from models.common.arrays import Array
 from models.common.checks import Positive, check_fields, check_shape
 from models.common.errors import InputError, list_names, short_repr
 
-# Fields with the names of the columns: of the matrices that have a row for each state, then of the matrices that have a row for
-# each output
+# Fields that contain the names of the columns, by matrix: first the matrices with a row for each state, then those with a row
+# for each output
 OF_STATES = {"A": "states", "B": "inputs", "Bw": "disturbances", "Br": "disturbances", "Bt": "disturbances", "Bl": "loads"}
 OF_OUTPUTS = {"C": "states", "D": "inputs", "Cr": "disturbances", "Dw": "disturbances", "Dl": "loads"}
 AXES = {name: (rows, of[name]) for rows, of in (("states", OF_STATES), ("outputs", OF_OUTPUTS)) for name in of}

@@ -243,7 +243,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     Args:
         what: the key, for messages.
         measured: names of the measured signals.
-        corners: for each force, the suffix of the signal names at its suspension.
+        corners: suffix of the signal names at the suspension of each force.
 
     Raises:
         InputError: a signal belongs to no corner, or a corner has no signal.
@@ -302,7 +302,7 @@ class Goals(Section):
 
     @property
     def over(self) -> str:
-        """How the norms of a vehicle family are combined into the value that is minimised."""
+        """Rule that combines the norms of a vehicle family into the value that is minimised."""
         return self.minimise.over
 
     @property

@@ -99,7 +99,7 @@ class StructureSection(Goals):
 
         Args:
             measured: names of the measured signals.
-            corners: for each force, the suffix of the signal names at its suspension.
+            corners: suffix of the signal names at the suspension of each force.
 
         Raises:
             InputError: the structure does not fit the signals, or `pid` does not fit the structure.

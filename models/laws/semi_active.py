@@ -291,7 +291,7 @@ class SemiActiveSection(Section):
             given: keys of the section in the file.
             outputs: names of the output signals of the vehicle.
             inputs: names of the forces of the vehicle.
-            endings: for each force of a semi-active damper, the suffix of the signal names at its suspension.
+            endings: suffix of the signal names at the suspension of each semi-active damper, by force.
 
         Raises:
             InputError: a key belongs to another law, or the vehicle lacks a signal or damper that the law needs.

@@ -277,7 +277,7 @@ def read_controllers(
         kind: vehicle type.
         folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
         sampled: default of the key `sampled` in a controller's section.
-        dampers: for each force of a semi-active damper, the suffix of the signal names at its suspension.
+        dampers: suffix of the signal names at the suspension of each semi-active damper, by force.
     """
     controllers: dict[str, ControllerEntry] = {}
     facts: dict[str, Any] = {

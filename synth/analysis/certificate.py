@@ -136,8 +136,8 @@ SLOWEST = 1e-7
 BELOW = 1e-9  # relative amount by which rounding may put a computed norm below its lower bound
 # allowed relative difference between the norms that the two methods compute; about 1e-12 for a well-conditioned plant
 ROUTES_AGREE = 1e-6
-# allowed relative difference between the norm and the gain at the claimed peak frequency; this frequency may be inexact,
-# because the gain is flat near a peak
+# Allowed relative difference between the norm and the gain at the claimed peak frequency. This frequency may be inexact,
+# because the gain is flat near a peak.
 PEAKS_AGREE = 1e-9
 
 

@@ -204,9 +204,11 @@ class GainSearch:
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
         structure: argument of `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
-            the limit. enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
-                rival: argument of `static_output_feedback`. work: counter of the computing work of the search. A descent ends
-                if the limit of this counter is exceeded. Default: no limit.
+            the limit.
+        enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
+        rival: argument of `static_output_feedback`.
+        work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
+            limit.
         """
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)

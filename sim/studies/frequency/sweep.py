@@ -23,8 +23,8 @@ from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
-# Differences that are allowed in addition to the known error of RK4:
-# allowed relative difference of a response due to body rotations; on roads of 0.1 mm, rotations cause only 3e-7
+# Relative difference of a response that body rotations may cause, in addition to the known error of RK4. On roads of 0.1 mm,
+# rotations cause only 3e-7.
 TOLERANCE = 1e-4
 # Height of the lower road relative to the original road, and smallest height [m]. Body rotations cause smaller differences on a
 # lower road.

@@ -41,8 +41,8 @@ from sim.studies.frequency.sinusoids import (
 from synth.controller.controller import Controller
 
 DURATION = 20.0  # s, duration of all runs except the run over the worst sinusoid, whose duration depends on the settling time
-# Largest allowed relative gap between the gain at the simulated frequency and the peak gain, and largest number of refinements
-# that bring the frequency closer to the peak.
+# Largest allowed relative gap between the gain at the simulated frequency and the peak gain. Then the largest number of
+# refinements that bring the frequency closer to the peak.
 BESIDE, DOUBLINGS = 3e-4, 6
 
 

@@ -60,10 +60,10 @@ def recommend(
     Example:
         >>> from models import read_vehicle
         >>> from sim import recommend
-        >>> recommend(read_vehicle("quarter_car"), within="stroke=200%")
+        >>> recommend(read_vehicle("quarter_car"), within="disk=3")
         Traceback (most recent call last):
             ...
-        models.common.errors.InputError: --within: stroke=200% is not allowed; give 0 to 1, as in stroke=95%, or none
+        models.common.errors.InputError: --within: disk=3 is not allowed; give a number from 1e-06 to 2, as in disk=0.3, or none
     """
     limits = read_within(within) if isinstance(within, str) else within
     usual = Iso8608(speed=SPEED, track_width=track_width(vehicle), length=long_enough(20 * SPEED))

@@ -103,4 +103,8 @@ def read_within(text: str) -> Within:
                 given[name] = factor if name == "gain_margin" else 2 * (factor - 1) / (factor + 1)
             else:
                 given[name] = None if value == "none" else setting(name, value) if value else usual[name]
+            try:
+                Within(**{name: given[name]})
+            except InputError as error:  # the message repeats the text of the user, such as 200%
+                raise InputError(f"{part} is not allowed; {str(error).partition('; ')[2]}") from error
         return Within(**given)

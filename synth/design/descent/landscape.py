@@ -168,10 +168,11 @@ class Landscape:
         work: Work | None = None,
         band: Band = EVERYWHERE,
     ) -> None:
-        """Args: plant: generalised plant with n states, m inputs, r disturbances and q measurements. structure: mask, shape (m,
-        q): True for entries of K that may be nonzero. None if all entries may be nonzero. work: counter of the computing
-        work that is spent on norms. Default: a counter without a limit. band: lower and upper frequency [rad/s] between
-        which gains count; all frequencies by default.
+        """Args:
+        plant: generalised plant with n states, m inputs, r disturbances and q measurements.
+        structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
+        work: counter of the computing work that is spent on norms. Default: a counter without a limit.
+        band: lower and upper frequency [rad/s] between which gains count; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)

@@ -367,7 +367,9 @@ class RiccatiSearch:
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
-        """Args: quick: speed up to which a loop has no penalty for its speed [rad/s]."""
+        """Args:
+        quick: speed up to which a loop has no penalty for its speed [rad/s].
+        """
         self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)

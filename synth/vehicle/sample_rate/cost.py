@@ -1,8 +1,8 @@
 """Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad, unless the mode
-has decayed. The limit is then found by bisection between the last stable and the first unstable period.
+rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad. Modes that have
+decayed are exempt. The limit is then found by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
