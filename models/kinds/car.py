@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 
-MOTIONS = {  # parameter that a type has if its body makes this motion, and signals of the motion's velocity and acceleration
-    "sprung_mass": (signals.HEAVE_VELOCITY, signals.HEAVE_ACCELERATION),
-    "pitch_inertia": (signals.PITCH_RATE, signals.PITCH_ACCELERATION),
-    "roll_inertia": (signals.ROLL_RATE, signals.ROLL_ACCELERATION),
+MOTIONS = {  # parameter that a type has if its body makes this motion, and the signals of velocity, acceleration and load
+    "sprung_mass": (signals.HEAVE_VELOCITY, signals.HEAVE_ACCELERATION, rigid_body.LOADS[0]),
+    "pitch_inertia": (signals.PITCH_RATE, signals.PITCH_ACCELERATION, rigid_body.LOADS[1]),
+    "roll_inertia": (signals.ROLL_RATE, signals.ROLL_ACCELERATION, rigid_body.LOADS[2]),
 }
 BAR = "anti_roll_stiffness"
 
@@ -60,32 +60,37 @@ class Car:
     warp: Array
 
     @cached_property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(one.name for one in self.parameters)
+    def _motions(self) -> list[tuple[Any, ...]]:
+        """Signals of the velocities of the body, of its accelerations, and of the loads on it."""
+        names = [one.name for one in self.parameters]
+        return list(zip(*(MOTIONS[name] for name in MOTIONS if name in names), strict=True))
 
     @property
     def rates(self) -> tuple[Signal, ...]:
         """Signals of the velocities of the body."""
-        return tuple(rate for name, (rate, _) in MOTIONS.items() if name in self._names)
+        return self._motions[0]
 
     @property
     def tyres(self) -> tuple[Signal, ...]:
         """Signals of the tyre deflections that are states."""
-        return tuple(signals.TYRE_DEFLECTION.at(mode) for mode in self.modes)
+        return tuple(map(signals.TYRE_DEFLECTION.at, self.modes))
 
     def body(self, p: Parameters) -> RigidBody:
         """Returns the rigid body for parameters [SI]."""
-        axles = [corner.partition("_")[0] for corner in self.corners]
-        widths = np.array([links.track(axle, p) for axle in axles] if self.warp.any() else [1.0])
-        bars = []
-        for name in self._names:
-            if name.startswith(BAR):
-                axle = name.removeprefix(BAR).removeprefix("_")
+        corners, widths, bars = list[Corner](), np.ones(len(self.corners)), list[Bar]()
+        for i, corner in enumerate(self.corners):
+            axle = corner.partition("_")[0]
+            corners.append(Corner.of(p, corner, axle, lateral(corner, p)))
+            if self.warp.any():
+                widths[i] = links.track(axle, p)
+        for one in self.parameters:
+            if one.name.startswith(BAR):
+                axle = one.name.removeprefix(BAR).removeprefix("_")
                 left, right = (i for i, corner in enumerate(self.corners) if corner.startswith(axle))
-                bars.append(Bar(axle or "axle", left, right, p[name]))
+                bars.append(Bar(axle or "axle", left, right, p[one.name]))
         pitch_arm, roll_arm = links.arms(p)
         return RigidBody(
-            tuple(Corner.of(p, corner, axle, lateral(corner, p)) for corner, axle in zip(self.corners, axles, strict=True)),
+            tuple(corners),
             p["sprung_mass"],
             p.get("pitch_inertia"),
             p.get("roll_inertia"),
@@ -132,8 +137,7 @@ class Car:
     @property
     def derived(self) -> tuple[Signal, ...]:
         """Signals of the body's accelerations, and of its motion at the corners."""
-        accelerations = (acceleration for name, (_, acceleration) in MOTIONS.items() if name in self._names)
-        return (*accelerations, *self.at_corners(signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION))
+        return (*self._motions[1], *self.at_corners(signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION))
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
@@ -219,7 +223,7 @@ class Car:
             check_together=self.check,
             combined=combined if {*self.modes} != {*self.corners} else {},
             on_demand=self.on_demand,
-            loads=tuple(load for load, parameter in zip(rigid_body.LOADS, MOTIONS, strict=True) if parameter in self._names),
+            loads=self._motions[2],
             wheel_loads=self.wheel_loads,
             carried=self.carried,
             angles=self.angles,

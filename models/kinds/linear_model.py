@@ -171,8 +171,11 @@ class LinearModel:
 
     def _with_rows(self, matrices: Iterable[str], k: int, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Returns matrices with k additional rows, which are zero where `rows` does not contain them."""
-        given = {name: getattr(self, name) for name in matrices}
-        return {name: np.vstack([one, rows.get(name, np.zeros((k, one.shape[1])))]) for name, one in given.items()}
+        extended = dict[str, Array]()
+        for name in matrices:
+            given = getattr(self, name)
+            extended[name] = np.vstack([given, rows.get(name, np.zeros((k, given.shape[1])))])
+        return extended
 
     def with_integrals(self, integrals: Mapping[str, Mapping[str, float]]) -> "LinearModel":
         """Returns the model with integrals of sums of output signals as additional states and outputs.
@@ -266,7 +269,7 @@ class LinearModel:
         if bandwidth is None:
             return self
         rates = np.broadcast_to(bandwidth, len(self.inputs))
-        lags, more = np.flatnonzero(rates), np.count_nonzero(rates)
+        lags, more = np.flatnonzero(rates), int(np.count_nonzero(rates))
         return replace(
             self,
             A=np.block([[self.A, self.B[:, lags]], [np.zeros((more, len(self.A))), -np.diag(rates[lags])]]),

@@ -340,6 +340,7 @@ class EndDetector:
         rates = np.abs(command_rates(forces, *self.lags)).T
         self._note(end, start - 1, rates, limit, RATE_REACHED)
 
+    @np.errstate(over="ignore")  # signals of runs that have diverged may overflow
     def _note(self, end: int, start: int, towards: Array, limit: Array, at: float = AT) -> None:
         """Records the largest value of each run, and the first sample that reaches a limit.
 

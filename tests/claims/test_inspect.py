@@ -452,7 +452,7 @@ for path in sys.argv[1:]:
     refused, proved, no_solver = run.stdout.split("exit code ")
     assert (refused, proved[:2], no_solver) == ("", "2\n", "0\nset()\n")
     assert proved.endswith("the log still proves what it claims\n")
-    assert "\n  python" in proved
+    assert "\n  roadproof" in proved
 
 
 def test_csv(log, tmp_path, capsys):
