@@ -289,7 +289,9 @@ def _parquet_rows(path: Path) -> list[Sequence[Any]]:
         raise InputError(f"it is not a Parquet file, or is damaged ({error}); write it again") from error
     numbers = [i for i, one in enumerate(table.schema) if types.is_integer(one.type) or types.is_floating(one.type)]
     if not numbers:
-        raise InputError(f"no column of {list_names(table.column_names)} has numbers; give columns of numbers, times in seconds")
+        raise InputError(
+            f"no column of {list_names(table.column_names)} contains numbers; give numeric columns, with times in seconds"
+        )
     columns = [table.column(i).to_numpy() for i in numbers]
     return [[table.column_names[i] for i in numbers], *zip(*(one.tolist() for one in columns), strict=True)]
 

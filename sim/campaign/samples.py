@@ -124,7 +124,7 @@ def read_samples(
     if not (given.parameters or given.controllers) or given.parameters == {} or given.controllers == {}:
         raise InputError(
             "[samples] lists nothing to sample; write [samples.parameters] with NAME = { uniform = [low, high] }, or "
-            "[samples.controllers.NAME] with keys of the law of controller NAME"
+            "[samples.controllers.NAME] with keys that the law of controller NAME has"
         )
     sampler = Sampler(given.count, given.method, given.seed)
     for name in vehicles if given.parameters else ():

@@ -144,7 +144,7 @@ def add_measured(parser: Parser) -> None:
     parser.add_number("--beside-start", None, "s", "time of the log at which the runs start", "largest correlation")
     parser.add_number("--beside-rate", None, "Hz", "sample rate of a log without a column of time", "column of time")
     parser.add_argument(
-        "--beside-remove-offset", action="store_true", help="subtract its mean difference from MuJoCo from each measured signal"
+        "--beside-remove-offset", action="store_true", help="remove the mean offset between each measured signal and MuJoCo"
     )
 
 

@@ -26,4 +26,4 @@ def at_rest_words(vehicle: Vehicle) -> str:
     if bent:
         whose = " and ".join(name.replace("_", " ") for name in bent)
         phrases.append(f"straight lines instead of the characteristics of {whose}, which have a kink at equilibrium")
-    return f"In these runs, MuJoCo has {' and '.join(phrases)}" if phrases else ""
+    return f"In these runs, MuJoCo uses {' and '.join(phrases)}" if phrases else ""

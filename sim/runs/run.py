@@ -110,7 +110,7 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
             raise InputError(
                 f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] has a rate of {rate:.4g} 1/s"
                 f"{' at 2 m/s' * (rate > slow.get(name, 0.0))}; "
-                f"give a smaller timestep, or parameters of a slower element in [parts.{name}]"
+                f"give a smaller timestep, or change [parts.{name}] such that the element is slower"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"
         if improbable := remarks(known_quantities(vehicle)):

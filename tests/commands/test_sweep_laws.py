@@ -151,7 +151,8 @@ def test_runs_that_diverge_are_said_once(tmp_path, recwarn):
     for numbers in (found.gains, found.measured, found.outside):
         assert np.isnan(numbers[wild]).all()
     assert np.isfinite(found.gains[~wild]).all()
-    some = f"{wild.sum()} of {count} runs diverged, the first at {found.diverged.min():.4g} s. These runs are not measured."
+    first = f"the first at {found.diverged.min():.4g} s"
+    some = f"{wild.sum()} of {count} runs diverged, {first}. The results do not contain these runs."
     nothing = replace(found, diverged=np.zeros(count), ended=("divergence",))
     for one, said, state in ((found, some, "note"), (nothing, "every run diverged, so nothing is measured.", "fails")):
         document = describe(vehicle, [], [], [one], AMPLITUDE, COARSE)

@@ -379,7 +379,7 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     said = (
-        "In these runs, MuJoCo has straight lines instead of the characteristics of suspension damping, which have a kink at "
+        "In these runs, MuJoCo uses straight lines instead of the characteristics of suspension damping, which have a kink at "
         "equilibrium"
     )
     assert at_rest_words(rough) == said

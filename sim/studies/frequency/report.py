@@ -271,7 +271,9 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
     ):
         if which.any() and not wild.all():
             first = WHEN.text(float(np.min(one.diverged[which])))
-            yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. These runs are not measured.")
+            yield Statement(
+                f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. The results do not contain these runs."
+            )
     if one.ended:
         yield Statement(f"{name} left the linear regime: {join_words([*one.ended])}.")
     if one.drift > STEADY:

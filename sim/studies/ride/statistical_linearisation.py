@@ -311,7 +311,10 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     ]
     slopes += [f"{name} is {three_digits(1e3 * mean)} mm on average" for name, mean in whole["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.parts.with_curve)
-    note = " A position-dependent damper is replaced by its mean force over all deflections; rms is then exact to 3 %." * tabled
+    note = (
+        " A position-dependent damper is replaced by its mean force over all deflections; rms is then accurate to within 3 %."
+        * tabled
+    )
     rest, accuracy = (
         line.remainder,
         ("Rms and dynamic load are exact to 1 %; vdv can be up to 4 % too high, energy up to 5 %, and crest up to 8 %. "),
@@ -321,7 +324,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
             f"The straight lines do not explain {percent(rest.share)} of the variance of a force, so expected accelerations "
             "are computed from these lines alone. "
         )
-        friction = "As with friction, rms is exact to 3 %, and dynamic load is up to 8 % too low"
+        friction = "As with friction, rms is accurate to within 3 %, and dynamic load is up to 8 % too low"
     else:
         friction = "With friction, rms and dynamic load are exact to 4 %"
     return [

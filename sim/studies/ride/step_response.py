@@ -240,7 +240,8 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
         table = Table.of(f"step-{run.controller.name}", caption, _columns("signal", "response"), rows, 2)
         blocks.append(Document(run.controller.name, (table,), "full"))
     about = (
-        "IAE and ITAE are integrals of the distance from the final value, in the signal's unit times s and times s².",
+        "IAE is the integral of the absolute distance from the final value (unit of the signal times s). ITAE is the integral of "
+        "the same distance multiplied by time (unit times s²).",
         f"A signal has settled when it stays within {percent:g} % of its final value, or of its peak if it returns to zero.",
         "Overshoot is relative to the final value. If the final value is zero, overshoot is measured on the side opposite the "
         "peak, relative to the peak.",

@@ -288,9 +288,7 @@ def proved_text(report: Fragility) -> str:
     """Returns the proved margins as text."""
     text = f"stability is {_proved_text(report.stable, 'each error')}"
     for share, one in report.within.items():
-        beyond = (
-            f", and violated by errors of {_percents(one.smallest_violation)}" if math.isfinite(one.smallest_violation) else ""
-        )
+        beyond = f"; errors of {_percents(one.smallest_violation)} violate it" if math.isfinite(one.smallest_violation) else ""
         text += f"; a norm at most {_percents(share)} higher is {_proved_text(one, 'errors')}{beyond}"
     return text
 
