@@ -109,6 +109,7 @@ SEEN_ELSEWHERE = {  # laws with states, or a gain that is sampled, as the rest t
 ALIKE = ("lqg", "told_its_force", "goals", "noisy")  # to commands that take long: states, or a gain, as others have
 DRIVEN_ALIKE = ("sim.bump", "sim.envelope")  # they drive it as `sim.drive` does, which takes every controller
 ALIKE_DRIVEN = (*ALIKE, "pid", "sampled", "discrete", "sampled_full")
+ALIKE_TO = {each: ALIKE_DRIVEN for each in DRIVEN_ALIKE} | {"synth": ("sampled",), "sim.drive": ("noisy", "lqg")}
 NO_CLAIM = {"synth", "sim.envelope", "sim.margins"}  # which have nothing to say of laws in Python and semi-active ones
 
 
@@ -145,8 +146,8 @@ def test_no_command_is_forgotten():
 @pytest.mark.parametrize(
     ("command", "vehicle", "name"),
     [
-        *((each, *one) for each in QUICK for one in CONTROLLERS if each not in DRIVEN_ALIKE or one[1] not in ALIKE_DRIVEN),
-        *attacks((each, *one) for each in DRIVEN_ALIKE for one in CONTROLLERS if one[1] in ALIKE_DRIVEN),
+        *((each, *one) for each in QUICK for one in CONTROLLERS if one[1] not in ALIKE_TO.get(each, ())),
+        *attacks((each, *one) for each, alike in ALIKE_TO.items() for one in CONTROLLERS if one[1] in alike),
         *attacks(("synth", *one) for one in DESIGNED),
         *(
             pytest.param(each, *one, marks=pytest.mark.attack)

@@ -40,8 +40,7 @@ def balance(kind, reality, name, road, timestep) -> Energy:
 @pytest.mark.parametrize(
     ("kind", "reality", "name", "track"),
     [
-        ("half_car", "", "I", "both"),
-        *attacks([("full_car", "", "I", "left")]),
+        *attacks([("half_car", "", "I", "both"), ("full_car", "", "I", "left")]),
         ("half_car", LAG, "I", "both"),
         ("half_car", "\n[implementation]\nsample_period = 0.004\ndelay = 2\n", "I", "both"),
     ],

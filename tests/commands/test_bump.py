@@ -228,7 +228,7 @@ def test_negative_numbers_are_no_options(capsys):
         assert hole[name]["peak"]["continuous"] == bump[name]["peak"]["continuous"]
 
 
-@pytest.mark.parametrize("controller", ["I_printed", "passive"])
+@pytest.mark.parametrize("controller", [*attacks(["I_printed"]), "passive"])
 def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
     """The change at half the step is within a factor of three of what physics at an eighth of the step makes of it."""
     arguments = ["--controller", controller, "--height", "0.1", "--length", "1", "--duration", "1", "--no-logs"]

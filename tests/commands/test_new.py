@@ -16,7 +16,7 @@ from synth.controller.loop_of import loop_of
 from synth.controller.stability_margins import margins
 from synth.vehicle.designer import design_controllers
 from tests.same_numbers import RULER
-from tests.support.commands import main_of, refused
+from tests.support.commands import attacks, main_of, refused
 from tests.support.pages import ROOT
 
 
@@ -94,10 +94,12 @@ def test_only_a_schema(tmp_path, monkeypatch, capsys):
     assert [one.name for one in tmp_path.iterdir()] == ["quarter_car.schema.json"]
 
 
-def test_the_best_design_is_best_as_implemented(monkeypatch, capsys):
+@pytest.mark.parametrize("names", [("comfort", "skyhook"), *attacks([((),)])], ids=len)
+def test_the_best_design_is_best_as_implemented(names, monkeypatch, capsys):
     """With the quarter-car template `comfort` has the best ride, and a disk margin that may be starred."""
+    some = [part for name in names for part in ("--controller", name)]
     monkeypatch.setattr("synth.lmi.sampled_bound.find_sampled_bound", lambda *given: None)  # whose proof takes longest
-    assert main_of("synth")(["--vehicle", str(TEMPLATES / "quarter_car.toml"), "--json"]) == 0
+    assert main_of("synth")(["--vehicle", str(TEMPLATES / "quarter_car.toml"), *some, "--json"]) == 0
     printed = capsys.readouterr()
     assert not printed.err
     result = json.loads(printed.out)

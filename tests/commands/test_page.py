@@ -428,7 +428,7 @@ def test_gains_are_matrices(designer):
     assert gain_table(vehicle, designer.design("passive")) is None
 
 
-@pytest.mark.parametrize("backend", ["nonsense", "svg", *attacks(["module://matplotlib_inline.backend_inline"])])
+@pytest.mark.parametrize("backend", ["nonsense", *attacks(["svg", "module://matplotlib_inline.backend_inline"])])
 def test_a_backend_of_another_environment(backend, tmp_path):
     """A picture is drawn whatever MPLBACKEND names; a backend that exists stays that of the caller's own figures."""
     code = "import pathlib; from models.document.figure import *; from models.document.picture import write_picture\n"

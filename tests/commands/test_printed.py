@@ -174,7 +174,7 @@ def test_a_screen_of_details(name, options):
 
 VERBOSE = {  # command lines with -v, with the vehicles that the suite asks it of, and those that the attacks do
     f"sim.bump {ALL} --logs logs": f"quarter_car_semi_active / {' '.join(ONE)} quarter_car half_car half_car_roll full_car",
-    f"sim.drive {ALL} --class C --logs logs": f"full_car / {' '.join(ONE)} quarter_car quarter_car_semi_active half_car",
+    f"sim.drive {ALL} --class C --logs logs": f"quarter_car / {' '.join(ONE)} quarter_car_semi_active half_car full_car",
     "sim.sweep --controller all --timestep 4e-3": f"/ {' '.join(ONE)} quarter_car quarter_car_semi_active half_car full_car",
     "sim.margins --controller CONTROLLER --timestep 4e-3": f"/ {' '.join(ONE)} quarter_car half_car full_car",
     "synth": f"full_car / {' '.join(ONE)} quarter_car quarter_car_semi_active half_car half_car_roll",

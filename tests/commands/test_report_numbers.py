@@ -260,7 +260,7 @@ def test_ride_is_what_drive_says(paper, designer, capsys):
 def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
     """With --class or --road the comparison and the verdict are of that road, as in `sim.drive`."""
     options = (
-        *["--controller", "passive", "--controller", "I", "--class", "B", "--seed", "3", "--speed", "15", "--duration", "2"],
+        *["--controller", "passive", "--controller", "I", "--class", "B", "--seed", "3", "--speed", "15", "--duration", "1"],
         *STEP,
     )
     whole = printed(capsys, report, "--quick", "--out", str(tmp_path / "report.html"), *options)

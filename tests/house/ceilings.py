@@ -161,7 +161,7 @@ identification from measured logs                              4181    663    27
 map of validity                                                1311    371     35
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*,study}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    2959   1100      0
+MuJoCo loop                                                    2959   1098      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*

@@ -36,6 +36,13 @@ ALIKE = (
     *("bump.md: Drive over one bump", "bump.md: Lift-off", "bump.md: Compare vehicles"),
     *("first-bump.md: Drive your own car", "semi-active-dampers.md: Set the voltage", "synth.md: Design controllers"),
     "export.md: Simulate the exported code",
+    *(
+        "README.md: Export",
+        "README.md: Read the output",
+        "first-bump.md: First bump",
+        "semi-active-dampers.md: Semi-active dampers",
+    ),
+    *("inspect.md: Recompute a logged run", "first-bump.md: Look at every signal", "built-in-vehicles.md: Built-in vehicles"),
 )
 
 

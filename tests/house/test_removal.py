@@ -127,12 +127,9 @@ def test_the_core_drives_without_any_extension(tmp_path):
 
 
 WITHOUT_METRIC = """
-import importlib, pathlib, sys
+import sys
 from models.common.extensions import METRICS
 assert not {*sys.argv[1:]} & {*METRICS}
-for path in sorted(pathlib.Path("sim").rglob("*.py")):
-    if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
-        importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
 from sim.campaign.__main__ import main as campaign
 from sim.drive.__main__ import main
 key = next(name for name in ("ride", "peak_travel") if name in METRICS)
@@ -151,7 +148,10 @@ duration = 0.2
 
 @pytest.mark.parametrize("names", in_the_suite([("ride",)], [("ride",), [name for name in METRICS if name != "ride"]]), ids=len)
 def test_all_else_works_without_a_metric(names, tmp_path):
-    """In a copy without ride, or with ride alone, modules are imported, a car is driven, and a campaign finds its best one."""
+    """In a copy without ride, or with ride alone, a car is driven, and a campaign finds its best one.
+
+    No file imports a metric, as `test_only_the_table_names_a_module` holds.
+    """
     copied(tmp_path, "models", "synth", "sim")
     table = tmp_path / TABLE
     for name in names:

@@ -29,7 +29,7 @@ from sim.studies.frequency.identification import measure_responses
 from synth.controller.report import OF, ideal_lines
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
-from tests.support.commands import prose, refused
+from tests.support.commands import attacks, prose, refused
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 BOTH = {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}
@@ -162,7 +162,11 @@ SURFACE = "{ velocity = [-1, 0, 1], deflection = [-0.05, 0.05], force = [[-900, 
 
 @pytest.mark.parametrize(
     ("kind", "name", "curves"),
-    [("quarter_car", "I", BOTH), ("half_car", "passive", AXLES), ("quarter_car", "passive", {"suspension_damping": SURFACE})],
+    [
+        ("quarter_car", "I", BOTH),
+        *attacks([("half_car", "passive", AXLES)]),
+        ("quarter_car", "passive", {"suspension_damping": SURFACE}),
+    ],
 )
 def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, name, curves):
     """A run says how far its linearisation is off: as far as MuJoCo's run of the car with these lines."""

@@ -112,7 +112,7 @@ def test_a_constant_filter_is_a_weight(given, paper):
     assert other.design("II").certificate.bound == pytest.approx(plain.design("II").certificate.bound, rel=1e-5)  # the path's end
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("kind", ["half_car", *attacks(["quarter_car", "full_car"])])
 def test_the_norm_is_of_the_filtered_loop(kind):
     """With random filters on every weight and on the road, the certificate's norm is the peak of W T F, each part by itself: the
     loop without filters from python-control, the filters from scipy; and `weighted_loop` is that at every frequency."""

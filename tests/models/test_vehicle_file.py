@@ -14,7 +14,7 @@ import sim
 from models.common.errors import InputError
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped_vehicles
-from tests.support.commands import ROOT, main_of, prose, refused
+from tests.support.commands import ROOT, attacks, main_of, prose, refused
 
 MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
 MASS = "sprung_mass = 504.5"
@@ -484,7 +484,7 @@ print(len(codes), max(len({line for *_, line in one.co_lines() if line}) for one
 """
 
 
-@pytest.mark.parametrize(("kind", "more", "most"), [("quarter_car", "", 154), ("full_car", RICH, 262)])
+@pytest.mark.parametrize(("kind", "more", "most"), [*attacks([("quarter_car", "", 154)]), ("full_car", RICH, 262)])
 def test_the_path_to_the_linear_model_is_short(tmp_path, kind, more, most):
     """Between a file and its linear model, a limited number of functions, lambdas and comprehensions run, none of them long."""
     text = read_vehicle(kind).text

@@ -144,7 +144,7 @@ speeds = [16.0]
 seeds = [3]
 duration = 0.8
 settle = 0.4
-timestep = 2e-3
+timestep = 4e-3
 [samples]
 count = 1
 [samples.parameters]

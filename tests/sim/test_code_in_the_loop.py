@@ -61,9 +61,8 @@ def road_under(vehicle: Vehicle, seconds: float, seed: int) -> RoadInput:
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("law", LAW + BUILT + LIMITED),
         ("law", LAW + BUILT + LIMITED + "force_rate = 2000.0\n"),
-        *attacks([("law", LAW + BUILT + WIDE), ("I", ""), ("skyhook_linear", None)]),
+        *attacks([("law", LAW + BUILT + LIMITED), ("law", LAW + BUILT + WIDE), ("I", ""), ("skyhook_linear", None)]),
         ("sky", None),
     ],
 )

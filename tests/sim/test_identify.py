@@ -190,7 +190,7 @@ def test_both_solutions_of_the_mirror_case():
         "tyre_stiffness": 2.5e5,
     }
     car = CAR.altered({**values, "tyre_damping": 500.0})
-    of = identified([log(car, (BODY,), chirp(20), noise={BODY: 0.005})], car, free=["tyre_damping"])
+    of = identified([log(car, (BODY,), chirp(10), noise={BODY: 0.005})], car, free=["tyre_damping"])
     share = 250 / 280
     other = {"suspension_stiffness": 2.5e5 * share, "suspension_damping": 500 * share, "tyre_stiffness": 2e4 / share}
     for name, value in other.items():
@@ -216,7 +216,7 @@ def test_wrong_units_and_signs_are_named(signal, factor, message):
 
 def test_a_delay_is_named():
     """A sensor that is 20 ms late is named as the first cause of residuals that are not white."""
-    right = log(CAR, (BODY, TRAVEL), chirp(6, top=4.0))
+    right = log(CAR, (BODY, TRAVEL), chirp(3, top=4.0))
     late = with_values(right, **{TRAVEL: np.concatenate([np.zeros(2), right.channels[1].values[:-2]])})
     of = identified([late])
     assert not of.estimate.white

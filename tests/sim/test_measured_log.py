@@ -13,7 +13,7 @@ from sim.recording.run_log import MEASURED_TOPIC
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from sim.studies.validity.measured_log import compare_log
-from tests.support.commands import answer, main_of, refused
+from tests.support.commands import answer, attacks, main_of, refused
 from tests.support.rewriting import contents, written
 from tests.support.shared import designed
 
@@ -121,7 +121,7 @@ def test_the_picture_shows_the_log(runs):
         assert panel.ylim[0] < curve.y.min() < curve.y.max() < panel.ylim[1]
 
 
-@pytest.mark.parametrize("command", ["bump", "drive"])
+@pytest.mark.parametrize("command", ["bump", *attacks(["drive"])])
 def test_command(command, capsys, tmp_path, monkeypatch):
     """Both commands print the fits, log the measured signals, and prove them; a changed fit is found."""
     monkeypatch.chdir(tmp_path)

@@ -24,7 +24,7 @@ from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, eq
 from synth.controller.equivalent_line import averages
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
-from tests.support.commands import once, prose
+from tests.support.commands import attacks, once, prose
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 
@@ -34,7 +34,7 @@ def integrated(function, curve, mean, deviation) -> float:
     return sum(integrate.quad(lambda z: function(z) * stats.norm.pdf(z), *piece)[0] for piece in itertools.pairwise(edges))
 
 
-@pytest.mark.parametrize(("mean", "deviation"), [(0.0, 0.3), (-0.1, 0.15), (0.1, 0.02), (-0.4, 1.5)])
+@pytest.mark.parametrize(("mean", "deviation"), [(-0.1, 0.15), *attacks([(0.0, 0.3), (0.1, 0.02)]), (-0.4, 1.5)])
 def test_averages_are_integrals(mean, deviation):
     """Over a Gaussian mean force, slope of least squares and coefficients E F(m + s z) He_n(z) / n! are integrals of the curve.
 

@@ -146,8 +146,15 @@ def _text(node: ast.AST) -> str:
     return (node.value if isinstance(node.value, str) else "") if isinstance(node, ast.Constant) else "X"
 
 
+def _first_name(node: ast.AST) -> str:
+    """Returns the name that an expression begins with: `Column` of `Column.of(x)`."""
+    while isinstance(node, (ast.Attribute, ast.Call, ast.Subscript)):
+        node = node.func if isinstance(node, ast.Call) else node.value
+    return node.id if isinstance(node, ast.Name) else ""
+
+
 def _formats(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Call) and re.match(r"\w*(Column|Field|Error)\b", ast.unparse(node.func)):
+    if isinstance(node, ast.Call) and _first_name(node.func).endswith(("Column", "Field", "Error")):
         return
     spec = node.value if isinstance(node, ast.Constant) else None
     if isinstance(node, ast.FormattedValue) and node.format_spec:

@@ -88,7 +88,7 @@ def test_sampled_full_order_is_next_to_its_bound(seed):
     assert above is None or float(above[1]) <= 0.12  # 0.1 %, and what a bracketed level and two digits leave
 
 
-QUICK = (("steps", "sampled"), ("full", "noise"))
+QUICK = (("full", "noise"),)
 
 
 @pytest.mark.parametrize(

@@ -35,15 +35,15 @@ def worst_of(plants, Cys, structure=None) -> tuple[float, np.ndarray]:
 
 
 @pytest.mark.parametrize(("name", "slack"), [("I", 12.515132), *attacks([("II", 12.515080)])])
-def test_family_of_six(paper, name, slack):
-    """Body masses x {1, 0.7, 1.4}, tyres x {0.75, 1.25}: the worst norm is near what the worst car alone admits, 12.51487."""
+def test_family_of_four(paper, name, slack):
+    """Body masses x {0.7, 1.4}, tyres x {0.75, 1.25}: the worst norm is near what the worst car alone admits, 12.51487."""
     plants = []
-    for mass, tyre in itertools.product((1.0, 0.7, 1.4), (0.75, 1.25)):
+    for mass, tyre in itertools.product((0.7, 1.4), (0.75, 1.25)):
         parameters = dict(paper.parameters)
         parameters["sprung_mass"] *= mass
         parameters["tyre_stiffness"] *= tyre
         plants.append(Designer(dataclasses.replace(paper, parameters=parameters)).plant)
-    worst, gain = worst_of(plants, [measured(paper, paper.controllers[name].measured)] * 6)
+    worst, gain = worst_of(plants, [measured(paper, paper.controllers[name].measured)] * 4)
     assert 12.51486 < worst < slack * (1 + 2e-5)
     assert np.abs(gain).max() < 1.2e4
 
