@@ -101,7 +101,7 @@ def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float
         plant: plant in continuous time with m inputs.
         pieces: duration [s] of each part of the period, and the matrix, shape (m, k), that selects the m acting inputs from the
             k held inputs.
-        gamma: level of the L2 gain.
+        gamma: level of the L2 gain for which the discrete plant is equivalent.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None
@@ -396,7 +396,7 @@ class SampledDataProblem:
 
     @property
     def before(self) -> int:
-        """Age of the force that acts just before a sample: number of samples since this force was computed."""
+        """Number of samples since the force that acts just before a sample was computed."""
         return self.pieces[-1].delay_samples + 1
 
     @cached_property

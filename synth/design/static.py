@@ -202,11 +202,11 @@ class GainSearch:
         """Args:
         largest_gain: largest allowed |K_ij|, in the units of the plant.
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
-        structure: argument of `Landscape`.
+        structure: mask of the gain entries that may be nonzero, as in `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
             the limit.
         enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
-        rival: argument of `static_output_feedback`.
+        rival: norm that another design reaches, as in `static_output_feedback`.
         work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
             limit.
         """

@@ -46,7 +46,7 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
     """Returns the central path of problem (22). The K of the last point is the state gain G_s with the smallest norm.
 
     Args:
-        mu: smallest path parameter; see `central_path`.
+        mu: value of the path parameter at which the path ends; see `central_path`.
 
     Raises:
         NoSolutionError: there is a mode that no state feedback changes by more than rounding errors.
@@ -369,7 +369,7 @@ def state(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by the second step alone, with L = 0."""
+    """Designs a static gain by the second step (25) alone, with L = 0."""
     return zero_l_design(problem.plant, problem.lower_bound)
 
 

@@ -103,10 +103,10 @@ class StackedBarrier:
 
 @dataclass(frozen=True, eq=False)
 class StackedLocal(FactoredDerivatives):
-    """Derivatives at a point.
+    """Derivatives of a `StackedBarrier` at a point.
 
     Attributes:
-        barrier: barrier of the constraints.
+        barrier: barrier whose derivatives are given.
         inverse: inverse Cholesky factors of S for every loop, shape (V, n + d, n + d).
         alone: inverse Cholesky factor of X, shape (n, n).
     """

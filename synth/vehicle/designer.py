@@ -140,7 +140,7 @@ class Designer:
 
     @property
     def state_feedback(self) -> CentralPoint:
-        """Optimum of (22)."""
+        """State-feedback controller that is the optimum of (22)."""
         return self.state_path[-1]
 
     @property

@@ -360,9 +360,9 @@ class _Search:
         Args:
             starts: laws of this structure, possibly with fewer states, each with a name. If none of their loops is stable,
                 other starts are used.
-            origin: name of the start in the result. Default: the name of the best start.
+            origin: name that the result gives as its starting point. Default: the name of the best start.
             whole: True to run the search to its end; False for its first descents only.
-            sought: number of stabilising starts that are sought if none of `starts` is stable.
+            sought: number of stabilising starting points to find if none of `starts` is stable.
 
         Raises:
             DesignError: no starting point has a stable loop.

@@ -51,8 +51,8 @@ class BoundedSignal:
         c: row vector of the states, shape (n,).
         g: row vector of the inputs, shape (m,).
         at_most: largest allowed magnitude for the given energy.
-        root: square root of the energy, which is the integral of |w|^2.
-        name: description of the bound.
+        root: square root of the energy of the disturbance, which is the integral of |w|^2.
+        name: description of the bound, used in messages.
     """
 
     public_name = "a bounded signal"

@@ -109,9 +109,9 @@ class RoadResponse:
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
         """Args:
-        driven: plant on its road.
+        driven: plant, the road on which it moves, and the bounded signal.
         step: time step [s].
-        length: approximate last time [s].
+        length: approximate duration of the computed motion [s].
         """
         self.driven, self.h = driven, step
         drive, count = driven.drive, max(2, int(np.ceil(length / step)))
@@ -199,7 +199,7 @@ class RoadResponse:
         return flat @ weights.real + 1j * (flat @ weights.imag)
 
     def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
-        """Returns the same as `motion`, but computed step by step, for loops whose modal form is too inaccurate."""
+        """Returns the same motion as `motion`, but computed step by step, for loops whose modal form is too inaccurate."""
 
         def kernels(length: float) -> Array:
             return np.stack([w * length * linalg.expm(A * length * (1 - s)) @ E for s, w in zip(self.s, self.w, strict=True)])
@@ -234,8 +234,8 @@ class RoadResponse:
 
 
         Args:
-            values: values of a signal at all times, shape (T,).
-            slopes: time derivatives, shape (T,).
+            values: values of the signal at all times, shape (T,).
+            slopes: time derivatives of the signal at all times, shape (T,).
         """
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):

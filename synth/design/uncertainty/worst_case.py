@@ -44,7 +44,7 @@ class WorstCaseNormFunction:
 
     Attributes:
         highest: largest norm found so far; infinite if an unstable loop was found.
-        at: factors at this norm, shape (q + m,).
+        at: factors for which the norm is `highest`, shape (q + m,).
     """
 
     def __init__(self, gain: ScaledGain) -> None:
@@ -131,7 +131,7 @@ def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
 
 
 def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
-    """Increases the norm by moving from a starting point within the box."""
+    """Searches for a larger norm by moving through the box from a starting point."""
     free = box.uncertain
     middle, half = box.middle, (box.high - box.low)[free] / 2
 

@@ -37,7 +37,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     the lower bounds.
 
     Args:
-        front: front to describe.
+        front: trade-off front that the document describes.
         measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
         most: largest number of representative points in the table.
     """
@@ -170,7 +170,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     """Returns the figure of a front, with a panel for each pair of axes.
 
     Args:
-        front: front to draw.
+        front: trade-off front that the figure shows.
         measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
