@@ -121,7 +121,7 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
 
 
 def _gain(G: Array | Feedback) -> tuple[Array, int]:
-    """Returns the state gain as integers, and their common denominator, like `integers`."""
+    """Returns the state gain as integers with a common denominator, in the format of `integers`."""
     if not isinstance(G, Feedback):
         return integers(G)
     (gain, of_gain), (rows, of_rows) = integers(G.K), integers(G.Cy)

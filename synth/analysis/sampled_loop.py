@@ -206,7 +206,7 @@ class SampledLoop(CheckedFields):
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
-        pieces: parts of the period, in order of time.
+        pieces: parts of the sample period in which the acting forces are constant, in order of time.
         K: gain from p to the computed forces, shape (m, n + k).
         A_register: matrix from p to the next controller states, shape (k, n + k).
         B_register: matrix from the acting force u_a to the next controller states, shape (k, m).

@@ -22,7 +22,7 @@ class Specification:
 
     Attributes:
         what: name of the quantity.
-        value: largest known value.
+        value: largest known value of the quantity.
         proved: proved upper bound on the quantity; None if `value` is exact up to rounding.
         at_most: largest allowed value; None if the quantity is minimised.
         unit: unit of `value`, `proved` and `at_most`.

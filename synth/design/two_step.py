@@ -68,7 +68,7 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     With this L, R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
 
     Args:
-        X: the state-feedback X, shape (n, n).
+        X: matrix X that solves the state-feedback problem (22), shape (n, n).
         Cy: measurement matrix, shape (q, n), of full row rank.
         Q: basis of the nullspace of C_y, shape (n, n - q).
 

@@ -186,7 +186,7 @@ class Local(FactoredDerivatives):
     """Derivatives of a `Barrier` at a point.
 
     Attributes:
-        W: L^-1 F_i L^-T of every block with k rows, shapes (N, k k).
+        W: matrices L^-1 F_i L^-T of every block with k rows, where the block at the point is L L', shapes (N, k k).
         numbers: L^-1 F_i L^-T of the k blocks with one row that are not joined with other blocks, shape (N, k); None if there
             are no such blocks.
     """

@@ -176,9 +176,9 @@ def goals_design(
     """Designs the controller of a section with goals.
 
     Args:
-        vehicle: vehicle with the section.
-        entry: controller's section.
-        goals: goals of the section.
+        vehicle: vehicle whose file contains the section.
+        entry: section of the vehicle file that defines the controller.
+        goals: norm to minimise, bounds and tolerance that the section contains.
         plant_problem: control problem for the certificate; z is defined in `[performance]` and weighted at all frequencies.
         lower_bound: lower bound on the norm for any controller with these measurements.
         on_progress: function that is called with the progress of the search.
@@ -221,9 +221,9 @@ def verify_specifications(
     """Verifies a given gain against the goals of its section.
 
     Args:
-        vehicle: vehicle with the section.
-        entry: controller's section.
-        goals: goals of the section.
+        vehicle: vehicle whose file contains the section.
+        entry: section of the vehicle file that defines the controller.
+        goals: norm to minimise, bounds and tolerance that the section contains.
         law: static law of the section.
         search: True to include, for a family, the ratio of the norm to each vehicle's individual optimum. This ratio requires
             additional designs.

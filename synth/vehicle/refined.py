@@ -46,7 +46,7 @@ def refine_controller(
 
     Args:
         vehicle: vehicle of the controller.
-        entry: controller's section.
+        entry: section of the vehicle file that defines the controller.
         problem: control problem with which the controller is evaluated.
         start: controller to refine; None if the two steps found no gain. In this case, the best result from other starting
             points is used.

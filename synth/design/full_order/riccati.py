@@ -413,7 +413,7 @@ class RiccatiSearch:
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares between those of two neighbours: the last slow enough and the first too fast controller."""
+        """Returns controllers for shares between those of two neighbours on a front, one slow enough and one too fast."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )

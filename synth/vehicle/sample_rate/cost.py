@@ -171,7 +171,7 @@ def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: floa
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if the controller can also be designed for a sampled-data loop, as for a static gain without noise."""
+    """Returns True if the controller can also be designed for a sampled-data loop, as a static gain without noise can."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or goes("rates", entry.parts)
     return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)

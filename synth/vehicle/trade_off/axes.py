@@ -203,7 +203,7 @@ def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: 
     Args:
         vehicle: vehicle of the trade-off.
         axis: axis of the trade-off.
-        entry: controller's section.
+        entry: section of the vehicle file that defines the controller.
         like: landscape whose coordinates are used, so that the same points represent the same gains.
 
     Raises:
