@@ -71,7 +71,7 @@ class Designs:
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
-    """Runs the command, which designs, checks, saves and prints controllers, and returns the exit code.
+    """Runs the command, which designs, checks, saves and prints controllers. Returns the exit code of the command.
 
     Args:
         vehicle: vehicle whose file defines the controllers.
@@ -338,7 +338,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Describes the expected ride of every controller, at each point of a vehicle with persons; see `_rides_at`."""
+    """Describes the expected ride of every controller; for a vehicle with persons, at each point. See `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [

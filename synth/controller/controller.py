@@ -53,7 +53,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         hardware: sensor noise, actuator lag and loads that the certificate takes into account.
         sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
         specifications: specifications of the design or of its evaluation, in addition to the H-infinity norm.
-        preview: force from the road ahead, which is added to the force of the law; None without preview.
+        preview: additional force, computed from the road ahead and added to the force of the law; None without preview.
         code: `ExportedCode` that computes the forces in simulations; None if the law itself computes them.
     """
 

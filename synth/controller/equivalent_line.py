@@ -41,7 +41,7 @@ class EquivalentLine:
     """Linear vehicle that approximates a vehicle with e nonlinear characteristics.
 
     Attributes:
-        vehicle: linear vehicle.
+        vehicle: linear vehicle that replaces the nonlinear vehicle.
         curves: the e characteristics. A position-dependent damper is represented by its mean over all deflections.
         signals: names of the signals on which the characteristics depend.
         deflections: names of the deflections along which the forces of the characteristics act.

@@ -102,7 +102,7 @@ LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law, and the remarks abo
 
 
 class SampledLaw(NamedTuple):
-    """Law, exact norm of the sampled-data loop with this law, and remarks."""
+    """Law that was designed, the exact norm of the sampled-data loop with this law, and remarks on the design."""
 
     law: LinearLaw
     norm: float
@@ -347,7 +347,7 @@ End = tuple[Array, float]  # gain, shape (m, q), and norm of the sampled-data lo
 
 
 def lowest(ends: Sequence[End]) -> End:
-    """Returns the pair of gain and norm with the lowest norm."""
+    """Returns the gain with the lowest norm, and this norm."""
     return min(ends, key=lambda end: end[1])
 
 

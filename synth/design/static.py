@@ -228,7 +228,7 @@ class GainSearch:
         return self.feasible_candidates(self.landscape.point(gain), "the two steps, refined")
 
     def starts(self, most: int = MOST) -> list[Candidate]:
-        """Returns stable points of many magnitudes.
+        """Returns stable starting points with gains of many magnitudes.
 
         If there are none, the result comes from a limited number of stabilising starts.
         """

@@ -354,7 +354,7 @@ def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state
 
 
 def _result(gain: Array, certificate: Certificate, **more: Any) -> DesignResult:
-    """Returns the design result of a gain."""
+    """Returns a gain and its certificate as a `DesignResult`."""
     return DesignResult(unchecked_static_law(gain), certificate, TWO_STEPS, **more)
 
 

@@ -22,7 +22,7 @@ from synth.lmi.structured_barrier import SHIFTS
 
 
 class StackedBarrier:
-    """Barrier of the constraints on X and t.
+    """Logarithmic barrier of the constraints on X and t.
 
     Args:
         constant: left side of (20) for V loops with X = 0, shape (V, n + d, n + d).

@@ -168,7 +168,7 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
 
 def _powers(exponents: Any) -> Any:
-    """Returns powers of two with the exponents rounded to integers."""
+    """Returns the powers of two whose exponents are the given numbers, rounded to integers."""
     return np.exp2(np.floor(exponents + UPWARDS))
 
 

@@ -77,7 +77,7 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
 
 
 def with_outputs_of_norm(vehicle: Vehicle, norm: NormOf) -> Vehicle:
-    """Returns the vehicle with the signals and weights of a norm goal as its output z."""
+    """Returns the vehicle whose output z contains the signals of a norm goal, with the weights of this goal."""
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 

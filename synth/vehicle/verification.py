@@ -108,7 +108,7 @@ class Verification:
         """Returns the specification of the largest value among the vehicles of the family.
 
         Args:
-            what: name of the quantity.
+            what: name of the quantity that the specification describes.
             of: value of the quantity for each vehicle, with a proved bound.
             at_most: largest allowed value; None if the quantity is minimised.
             unit: unit of the values and of `at_most`.

@@ -102,8 +102,8 @@ class RoadResponse:
     """Motion of one plant with different gains over one road, at equidistant times.
 
     Attributes:
-        h: time step [s].
-        time: times from 0 [s], shape (T,).
+        h: time between two computed points of the motion [s].
+        time: times of the computed motion, beginning with 0 [s], shape (T,).
         pieces: intervals into which steps with a kink are split, in order of time.
     """
 
@@ -134,7 +134,7 @@ class RoadResponse:
         self.piece_ends = ends - self.time[self.piece_steps]  # times relative to the beginning of the steps
 
     def _split(self, k: int) -> list[QuadratureInterval]:
-        """Splits a step with kinks into intervals."""
+        """Splits a time step that contains kinks into intervals."""
         start, end = float(self.time[k]), float(self.time[k]) + self.h
         kinks = self.driven.drive.kinks
         kinks = np.clip(kinks[(kinks >= start - NEXT * self.h) & (kinks <= end + NEXT * self.h)], start, end)
@@ -276,7 +276,7 @@ def _finite(rates: Array) -> Array:
 
 
 def step_for(rate: float, share: float, end: float) -> float:
-    """Returns the time step for the fastest motion and for the road.
+    """Returns a time step that is short enough for the fastest motion and for the road.
 
     In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is shorter, down to an
     eighth.

@@ -165,7 +165,7 @@ class MinimaxSearch:
         return self.full.point(np.full(self.full.shape, gain))
 
     def minimax_problem(self, errors: Sequence[GainErrors]) -> MinimaxProblem:
-        """Returns the problem with all terms, for given gain errors."""
+        """Returns the minimax problem that contains the goals and bounds for given gain errors."""
         return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:

@@ -69,7 +69,7 @@ def _between(kept: Callable[[float], bool], before: float, after: float) -> floa
 
 
 def _modes(vehicle: Vehicle, controller: Controller) -> Array:
-    """Returns the poles of the vehicle with its actuators, and the poles of the law itself [rad/s]."""
+    """Returns the poles of the vehicle with its actuators, followed by the poles of the law itself [rad/s]."""
     return np.concatenate([np.linalg.eigvals(A) for A in (with_lag(vehicle).A, controller.law.continuous().A)])
 
 

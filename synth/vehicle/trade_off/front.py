@@ -67,7 +67,7 @@ class Front:
         axes: axes of the trade-off.
         points: designs that no other design dominates, in ascending order of the first axis.
         others: other controllers of the vehicle file, for comparison.
-        missing: names of controllers that are omitted, each with the reason.
+        missing: names of the other controllers that are omitted, each with the reason.
         limits: lower-bound curve for each pair of axes.
         design_count: number of designs that were tried.
         unproved: number of designs that are omitted because a claim is not proved.
@@ -190,7 +190,7 @@ def marked_indices(count: int) -> list[int]:
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
-    """Returns the continuation object that searches for the designs."""
+    """Returns the `FrontContinuation` that searches for the designs on the front."""
     problem = goal_problem(vehicle, entry, entry.goals or Goals())
     plant_problem, starts = problem.members[0].plants[0], []
     if entry.law is not None:
