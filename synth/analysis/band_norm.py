@@ -36,7 +36,7 @@ class BandNorm:
         level: upper bound on the gain in the band, slightly above `value`.
         low: lower edge of the band [rad/s].
         high: upper edge of the band [rad/s]; may be infinite.
-        gap: relative difference between the results of the two methods.
+        gap: relative difference between the largest gains that the two methods found.
         rounding: first-order bound on the relative rounding error of `value`.
         stability: stability of the loop. If the loop is unstable, `value` is not an amplification.
     """
@@ -128,7 +128,7 @@ def _gain(loop: Plant, low: float, high: float) -> Gain:
 
 
 def exceeds(gain: Gain, level: float) -> bool:
-    """Returns True if the gain exceeds the level at some frequency in the band for which `gain` was built."""
+    """Returns True if the gain exceeds the level at some frequency in the band. `gain` defines the loop and the band."""
     if gain.high == np.inf and gain.at_infinity > level:
         return True
     return bool(np.any(gain.at(proposals(gain, level)[0]) > level))

@@ -121,7 +121,7 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
 
 
 def _gain(G: Array | Feedback) -> tuple[Array, int]:
-    """Returns the state gain as integers, and their common denominator, like `integers`."""
+    """Returns the state gain as integers with a common denominator, in the format of `integers`."""
     if not isinstance(G, Feedback):
         return integers(G)
     (gain, of_gain), (rows, of_rows) = integers(G.K), integers(G.Cy)
@@ -196,17 +196,17 @@ class Certificate(ShownResult):
     """Results about a closed loop (stability, norm and bounds), with their proofs.
 
     Attributes:
-        loop: closed loop.
+        loop: closed loop to which all results apply.
         stability: poles of the loop, and whether they are stable.
         own: stability without the poles of the filters in z and w, which no controller can change.
         norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
-        proof: proof of the bound; None if there is no bound.
+        proof: proof of an upper bound on the norm; None if there is no bound.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
         moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of its fastest pole. If
             all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
             (`units.own_units`).
         norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
-        below: proof of the lower bound for controllers of the same type; None if no lower bound was requested.
+        below: lower bound on the norm for all controllers of the same type, with its proof; None if not requested.
     """
 
     public_name = "a certificate, such as synth.certify returns"

@@ -143,8 +143,8 @@ class _Pencil(NamedTuple):
 
     Attributes:
         U, Q, b, c: matrices of the equations, with every entry rounded once.
-        rate: unit of s [rad/s].
-        unit: unit of the vector y.
+        rate: unit in which s is expressed [rad/s].
+        unit: unit in which the vector y is expressed.
     """
 
     U: Array

@@ -153,7 +153,7 @@ class _Dual:
     """Numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact values for the solution. For an antistable part, e is only a lower bound and t is only an upper bound.
+        e, t: numbers e and t of the solution, exact. For an antistable part, e is a lower bound, and t is an upper bound.
         V: V_T in floats; it is close to I on the central path.
         error_bound: bound on the error of each entry of V_T, same shape as V_T.
         T: matrix of floats, treated as exact, shape (a, a).

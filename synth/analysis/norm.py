@@ -119,7 +119,7 @@ class Gain:
         self.edges = np.array([low, high] if np.isfinite(high) else [low])
 
     def within(self, omega: Array) -> Array:
-        """Returns the frequencies [rad/s] after limiting them to the interval."""
+        """Returns the frequencies [rad/s], each limited to the interval."""
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
@@ -127,7 +127,7 @@ class Gain:
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """Returns the same as `at`, but from the modal form if the relative error of this form is at most ALIKE."""
+        """Returns the same gains as `at`, but computed from the modal form if its relative error is at most ALIKE."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def at_poles(self) -> float:
@@ -167,7 +167,7 @@ class Gain:
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
-        """Returns the error bound of `at_double_double` at the frequency `at` [rad/s]; 0 at infinite frequency."""
+        """Returns the bound on the error of `at_double_double` at the frequency `at` [rad/s]; 0 at infinite frequency."""
         return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def grid_error(self, at: float) -> float:
@@ -181,7 +181,7 @@ class Gain:
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns the same as `grid_error`, but computed with twice the precision.
+        """Returns the same bound as `grid_error`, but computed with twice the precision.
 
         This method is used if rounding may have moved poles and misled the search.
 
@@ -262,8 +262,8 @@ class Norm:
     Attributes:
         value: larger of the results of the two methods; infinite if the system is not stable.
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
-        level_set: result of the method of level sets.
-        sweep: result of the frequency sweep.
+        level_set: norm that the method of level sets found.
+        sweep: norm that the frequency sweep found.
         rounding: first-order bound on the relative error of `value`, caused by rounding or by a peak between neighbouring
             frequencies.
     """

@@ -228,13 +228,13 @@ def definite_beyond(M: Array, lost: Array) -> bool:
 
     Args:
         M: V matrices, shape (V, k, k); only their symmetric parts are used.
-        lost: largest error of each entry, shape (V, k, k).
+        lost: bound on the error of each entry, shape (V, k, k).
     """
     return _definite((M + M.swapaxes(-1, -2)) / 2, lost)[2]
 
 
 def _definite(M: Array, lost: Array) -> tuple[Array | None, Array, bool]:
-    """Returns the scaled matrices, the sums of their rounding errors, and True if all of them are proved to be definite."""
+    """Returns the scaled matrices, the sums of their rounding errors, and True if all matrices are proved positive definite."""
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)
     # this condition is also false if the value is NaN
     if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):

@@ -101,7 +101,7 @@ def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float
         plant: plant in continuous time with m inputs.
         pieces: duration [s] of each part of the period, and the matrix, shape (m, k), that selects the m acting inputs from the
             k held inputs.
-        gamma: level of the L2 gain.
+        gamma: level of the L2 gain for which the discrete plant is equivalent.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None
@@ -206,7 +206,7 @@ class SampledLoop(CheckedFields):
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
-        pieces: parts of the period, in order of time.
+        pieces: parts of the sample period in which the acting forces are constant, in order of time.
         K: gain from p to the computed forces, shape (m, n + k).
         A_register: matrix from p to the next controller states, shape (k, n + k).
         B_register: matrix from the acting force u_a to the next controller states, shape (k, m).
@@ -396,7 +396,7 @@ class SampledDataProblem:
 
     @property
     def before(self) -> int:
-        """Age of the force that acts just before a sample: number of samples since this force was computed."""
+        """Number of samples since the force that acts just before a sample was computed."""
         return self.pieces[-1].delay_samples + 1
 
     @cached_property

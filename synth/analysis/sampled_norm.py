@@ -88,9 +88,9 @@ def _reached(matrix: Array, start: Array, into: Array, level: float) -> Array:
     """Returns [x; held inputs] at the samples for disturbances and noise, complex, shape (F, n + i, c + j).
 
     Args:
-        matrix, start: loop at F angles, see `SampledLoop.at_angles`.
-        into: effect of the disturbances on x over one period, shape (n, c).
-        level: level by which the noise is divided.
+        matrix, start: matrices of the loop at F angles; see `SampledLoop.at_angles`.
+        into: matrix from the disturbances within one period to x at the end of the period, shape (n, c).
+        level: level of the L2 gain, by which the noise is divided.
     """
     (F, known, columns), (n, c) = matrix.shape, into.shape
     driven = np.zeros((F, known, c + columns - known), dtype=complex)
@@ -264,7 +264,7 @@ class _Search:
         return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
-        """Returns a level that has a discrete plant, a lower level that has none (or 0), and the loop of the higher level."""
+        """Returns a level with a discrete plant, a lower level without such a plant (or 0), and the loop of the higher one."""
         below = 0.0
         for _ in range(ROUNDS):
             there = self._at(level)
@@ -300,10 +300,10 @@ class _Search:
         return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
 
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
-        """Returns the level at which the gain at an angle [rad] is 1, and a lower level.
+        """Returns the level at which the gain of the discrete loop at an angle [rad] is 1, and a lower level.
 
-        The third value is True if the lower level has no discrete plant. The search is a secant iteration in the logarithms of
-        level and gain, between a level that is too low and a level that is high enough.
+        The third returned value is True if no discrete plant exists for the lower level. The search is a secant iteration in
+        the logarithms of level and gain, between a level that is too low and a level that is high enough.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

@@ -22,7 +22,7 @@ class Specification:
 
     Attributes:
         what: name of the quantity.
-        value: largest known value.
+        value: largest known value of the quantity.
         proved: proved upper bound on the quantity; None if `value` is exact up to rounding.
         at_most: largest allowed value; None if the quantity is minimised.
         unit: unit of `value`, `proved` and `at_most`.
@@ -90,8 +90,8 @@ class SampledNorm:
 
     Attributes:
         value: L2 gain; infinite if the loop is not stable.
-        lower: level just below the gain.
-        upper: level just above the gain.
+        lower: level of the gain just below `value`.
+        upper: level of the gain just above `value`.
         angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if there is no worst angle.
         reached: gain for an actual disturbance, computed by a second method (`sampled_norm.py`); it does not exceed the norm.
         inside: True if the largest gain already occurs within one period; then no controller with this sample rate can reduce

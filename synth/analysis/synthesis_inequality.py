@@ -67,8 +67,8 @@ class AntistablePart:
         P: product L U, whose columns are divided by `columns`, shape (a', a).
         columns: powers of two that scale the columns, shape (a,).
         Q: matrix Lambda, whose eigenvalues are the zeros, shape (a', a').
-        b: matrix of the disturbances, shape (a', r).
-        c: matrix of the outputs, shape (a', d).
+        b: matrix b of the inequality, with a column for each disturbance, shape (a', r).
+        c: matrix c of the inequality, with a column for each output in z, shape (a', d).
         off: bounds on the error of each entry of P, Q, b and c.
     """
 

@@ -43,7 +43,7 @@ class Box:
 
     @cached_property
     def uncertain(self) -> Array:
-        """Indices of the k uncertain factors, shape (k,)."""
+        """Indices of the k factors whose intervals contain more than one value, shape (k,)."""
         return np.flatnonzero(self.high > self.low)
 
     @property
@@ -137,7 +137,7 @@ class ScaledGain:
         return bool(np.all(np.linalg.eigvals(self.loops(factors)[..., :n, :n]).real < 0))
 
     def sizes(self, factors: Array) -> Array:
-        """Returns the same sums as `loops`, but of the absolute values of the terms.
+        """Returns the sums that `loops` computes, but with the absolute value of every term.
 
         Rounding errors are proportional to these sums.
         """
@@ -188,7 +188,7 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
     """Returns True if X satisfies LMI (20) at every corner of a box, despite rounding.
 
     Args:
-        gain: closed loops as a function of the factors.
+        gain: closed loops as a function of the factors of measurements and forces.
         box: box with at most `MOST` uncertain factors.
         X: exactly symmetric matrix, shape (n, n).
         eta: gamma^-2.

@@ -31,7 +31,7 @@ class CrossCheck:
     Attributes:
         problem: number of the problem, "(22)" or "(25)".
         ours: optimal gamma from the central path.
-        optimum_gap: relative gap between the gamma of the designed gain and this optimum.
+        optimum_gap: relative gap between the gamma of the designed gain and the optimal gamma `ours`.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
         attained: gamma that Clarabel finds if the gain is fixed to the designed gain; None if Clarabel failed.
         said: status text that Clarabel returned if it did not solve both problems; else empty.

@@ -51,10 +51,10 @@ class Designs:
     Attributes:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
-        limit: lower bound on the norm that no control force can change.
-        plant: generalized plant of this bound.
-        flat: allowed change of each state-feedback gain; see `_flatness`.
-        passive: expected ride of the passive suspension [m/s2]; None if it is not defined.
+        limit: lower bound on the norm for all controllers, because it does not depend on the control force.
+        plant: generalized plant for which `limit` holds.
+        flat: allowed change of the state-feedback gain on each state; see `_flatness`.
+        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if it is not defined.
         expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
         without: norm without control; infinite if the vehicle is not damped.
@@ -71,7 +71,7 @@ class Designs:
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
-    """Runs the command, which designs, checks, saves and prints controllers, and returns the exit code.
+    """Runs the command, which designs, checks, saves and prints controllers. Returns the exit code of the command.
 
     Args:
         vehicle: vehicle whose file defines the controllers.
@@ -291,7 +291,7 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
     """Returns the results of the command as a document.
 
     Args:
-        designs: the results.
+        designs: designed or checked controllers with their results.
         options: options from the command's parser.
         in_table: True for a table of loops instead of a document about each controller.
     """
@@ -338,7 +338,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Describes the expected ride of every controller, at each point of a vehicle with persons; see `_rides_at`."""
+    """Describes the expected ride of every controller; for a vehicle with persons, at each point. See `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [

@@ -48,7 +48,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
 
 
 def _one(vehicle: Vehicle, options: Namespace, names: Sequence[str], what: str) -> tuple[str, Vehicle, str]:
-    """Returns the requested controller, the vehicle whose file contains its law, and its name in this file."""
+    """Returns the requested controller, the vehicle whose file contains its law, and the controller's name in this file."""
     names, given = [name for name in names if name != "passive"], options.controller or []
     if len(given) > 1:
         raise InputError(f"{what}; give --controller with one of: {', '.join(names)}")

@@ -66,15 +66,15 @@ class Row:
     Attributes:
         name: name of the controller.
         controller: controller of the row; None if its design failed.
-        notes: notes about the controller.
+        notes: sentences about the controller's design and results.
         failures: texts of the claims that do not hold, or the reason why the design failed.
         worth: low estimate of the relative decrease of the norm that `--refine` would achieve; 0 if the decrease is negligible.
-        witness: result of the cross-check with a second solver; None if not requested.
+        witness: result of the cross-check with the solver Clarabel; None if not requested.
         sampled: norm of the sampled-data loop; None if the vehicle file describes no implementation.
         sampled_below: lower bound on the norm of the sampled-data loop for any controller with these measurements; None unless
             the controller is designed for this loop.
         fragile: gain errors that the controller tolerates; None if not requested.
-        answers: texts with the results that options requested; `notes` contains these texts, too.
+        answers: sentences with the results that the user requested by options; `notes` contains these sentences, too.
         ride: expected weighted acceleration on an average road [m/s2]; None if it is not defined.
         refined: True if the controller was refined; its gain is then part of the answer.
         margins: stability of the law itself, and stability margins of its loop if they are small; None if there is no law.
@@ -140,9 +140,9 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
     Args:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
-        limit: lower bound on the norm that no control force can change.
-        plant: generalized plant of this bound.
-        apart: True to show sampled-data norms only in a separate table.
+        limit: lower bound on the norm for all controllers, because it does not depend on the control force.
+        plant: generalized plant for which `limit` holds.
+        apart: True if sampled-data norms are shown only in a separate table.
     """
     controllers = [row.controller for row in rows if row.controller is not None]
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)

@@ -104,7 +104,7 @@ def usual(vehicle: Vehicle) -> str:
 
 
 def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
-    """Returns the numbers of the points of the front that are saved."""
+    """Returns the numbers of those points on the front that are saved."""
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(

@@ -40,20 +40,20 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         name: name of the controller's section in the vehicle file.
         measured: names of the q measured signals y; empty for `passive`.
         law: control law from y to the m forces; a static law is u = K y.
-        designed: True if the controller was designed by Roadproof; False if its law was given or is zero (as for `passive`).
+        designed: True if Roadproof designed the controller; False if the law was given, or is zero (as for `passive`).
         steps: result of the two-step method that produced the gain; None for other controllers.
         redundant: names of measured signals that are linear combinations of other measured signals; their gains are zero.
         certificate: certificate of the closed loop.
         degeneracy: text that explains why problem (22) has no optimum, or why every gain is optimal; else empty.
         fallback_method: name of the fallback method that was used, and the reason why the two-step method found no gain, as
             text; else empty.
-        remarks: additional notes. If the law was not designed by the two steps, these notes give its gap to the optimum, or its
-            objective.
+        remarks: additional notes. If the two steps did not design the law, these notes give the law's gap to the optimum, or
+            its objective.
         false_claims: descriptions of those claims of a given certificate that do not hold.
         hardware: sensor noise, actuator lag and loads that the certificate takes into account.
         sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
         specifications: specifications of the design or of its evaluation, in addition to the H-infinity norm.
-        preview: force from the road ahead, which is added to the force of the law; None without preview.
+        preview: additional force, computed from the road ahead and added to the force of the law; None without preview.
         code: `ExportedCode` that computes the forces in simulations; None if the law itself computes them.
     """
 
@@ -108,7 +108,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def acts(self) -> bool:
-        """False if the law never produces a force, whatever it measures; see `ControlLaw`."""
+        """True if the law can produce a force; False if its force is zero for all measurements; see `ControlLaw`."""
         return self.law.acts
 
     @property

@@ -41,13 +41,13 @@ class EquivalentLine:
     """Linear vehicle that approximates a vehicle with e nonlinear characteristics.
 
     Attributes:
-        vehicle: linear vehicle.
+        vehicle: linear vehicle that replaces the nonlinear vehicle.
         curves: the e characteristics. A position-dependent damper is represented by its mean over all deflections.
         signals: names of the signals on which the characteristics depend.
         deflections: names of the deflections along which the forces of the characteristics act.
         slopes: slopes of the lines at the wheel, shape (e,).
         mean: mean of every output signal, by name [unit of the signal].
-        rounds: number of iterations.
+        rounds: number of iterations until the slopes were consistent with the motion of the linear vehicle.
     """
 
     vehicle: Vehicle
@@ -109,7 +109,7 @@ def equivalent_line(
 
 
 def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of nonlinear elements whose force depends on more than one signal, so that no characteristic exists."""
+    """Returns the names of nonlinear elements without a characteristic, because the force depends on more than one signal."""
     bent = (
         one
         for one in vehicle.parts

@@ -132,7 +132,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
-    """Returns the value that the norm approaches for fast sampling.
+    """Returns the limit of the norm of the sampled-data loop for fast sampling.
 
     This value is the norm of the continuous loop with actuator lag. The road is the only disturbance.
     """

@@ -67,7 +67,7 @@ class LawMargins:
 
     @property
     def own_force(self) -> str:
-        """Description of the direct feedback of a law that cannot be sampled; empty for other laws."""
+        """Description of the direct feedback that makes sampling of the law impossible; empty if the law can be sampled."""
         if self.direct_feedback < 1:
             return ""
         times = SHARE.digits(self.direct_feedback)
@@ -133,7 +133,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
 
 
 def law_fault(vehicle: Vehicle, controller: AnyController) -> str:
-    """Returns the reason why a controller is never called the best; empty if no reason exists or the law is not linear."""
+    """Returns the reason why a controller is never called the best; empty without a reason, or if the law is not linear."""
     if controller.growth:
         return "unstable by itself"
     margin = law_margins(vehicle, controller).disk

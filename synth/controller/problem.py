@@ -97,11 +97,11 @@ class Problem:
         integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
             last j measurements. None if no integral is measured.
         integrals: indices of the states of the plant that are integrals.
-        measured_integrals: indices of the states that are measured integrals, in the order of `integrated`.
+        measured_integrals: indices of the plant states that are measured integrals, in the order of the rows of `integrated`.
         states: names of the states of the plant.
         of_heights: gain from the road heights to the measurements, shape (q, r), if the heights are integrals of the
             disturbances. None if no height above a datum is measured, or if the heights are states of the plant.
-        rates: matrices from the states and from the disturbances of the plant to the road velocities; None if `of_heights` is
+        rates: two matrices, from the plant's states and from its disturbances to the road velocities; None if `of_heights` is
             None.
     """
 
@@ -422,7 +422,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 
     Args:
         vehicle: vehicle of the plant.
-        signals: names of the q measured signals.
+        signals: names of the q measured signals, in the order of the rows.
         bandwidth: corner frequency of the actuator lag, as in `generalized_plant` [rad/s]. With lag, the feedthrough is zero.
 
     Raises:

@@ -95,7 +95,7 @@ PROVED_NORM = Record[SampledNorm](
 
 
 def built_words(vehicle: Vehicle) -> str:
-    """Describes the linear parts of an implementation, which are included in its norm."""
+    """Describes the linear parts of an implementation, which the norm of its sampled-data loop takes into account."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
 
@@ -130,7 +130,7 @@ def failures_of_sampled_loop(
 
 
 def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns a note if the loop is stable only because of sampling."""
+    """Returns a note if the continuous loop is not stable, but the sampled-data loop is stable."""
     return tuple(f"without sampling the loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
 
 

@@ -120,7 +120,7 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
 
 
 def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> float:
-    """Returns the shortest sample period of some forces at which a continuous loop is unstable [s]; may be infinite.
+    """Returns the shortest sample period of the given forces at which a continuous loop becomes unstable [s]; may be infinite.
 
     The search increases the sample period until all motion has decayed, in steps so short that no pole turns by more than 0.05
     rad. The product of 1 - z_i z_j over all pairs of eigenvalues z is a smooth function of the sample period, and it is
@@ -129,7 +129,7 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
 
     Args:
         loop: loop that is stable in continuous time.
-        forces: names of the sampled forces. Default: all forces.
+        forces: names of the forces that are sampled, while the other forces stay continuous. Default: all forces.
     """
     forces = loop.forces if forces is None else tuple(forces)
     cut, part = loop.cut(forces), sampled_part(loop, forces)

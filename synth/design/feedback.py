@@ -91,13 +91,13 @@ def design_feedback(
         structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. If `order` is a
             number of states, each force has its own law with this number of states. The text "pi" or "pid" selects this type of
             law from each measurement to its force.
-        pid: time constant [s] of the low-pass of the derivative for "pid", for example {"filter": 0.01}.
+        pid: time constant [s] of the low-pass filter on the derivative of a "pid" law, for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.
         lower_bound: lower bound on the norm of every controller from these measurements, if known; the certificate contains it.
         states: names of the states, used in error messages.
 
     Returns:
-        The law (u = +K y for a gain), its certificate, and the attributes method, why and remark. If a sample period is given,
+        The law (u = +K y for a gain), its certificate, and texts in `method`, `why` and `remark`. If a sample period is given,
         the result also contains the sampled-data norm and its lower bound.
 
     Raises:
@@ -177,7 +177,7 @@ def _parts(
     family: Sequence[Plant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
-    """Returns those requested options that are in the table of compatible options, each as the user wrote it."""
+    """Returns the requested options that the table of compatible options contains, each as the user wrote it."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)

@@ -57,7 +57,7 @@ class WellPosedProblem:
     Attributes:
         plant: plant for which the design is made: the given plant, unless its problem is degenerate.
         case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
-        best: an optimal state gain, shape (m, n), if one is known.
+        best: state gain that is known to be optimal, shape (m, n); None if no such gain is known.
         best_case: description of the degeneracy that makes `best` optimal.
         regular: True if w acts on a state, and every state affects z, both without control and with the gain -D^+ C. No mode
             can then be hidden from z. If a force has no weight, (22) may still have no optimum.
@@ -96,8 +96,8 @@ class DesignProblem:
         sampled_bound: lower bound on the norm of the sampled-data loop, if it is known.
         known: laws from which a search starts. For a static gain of the sampled-data loop, these are gains designed for the
             ideal loop.
-        near: estimate of the norm of the sampled-data loop.
-        goals: goals of a static gain; None if only the norm is minimised.
+        near: estimate of the norm of the sampled-data loop, from which the search for this norm starts.
+        goals: norm to minimise and bounds to fulfil in the design of a static gain; None for a design without goals.
         errors: plant with frequency-weighted uncertainties, for a design of robust performance; None for other designs.
         alternatives: True to compute a lower bound for a static gain, and to continue if the two steps end above this bound.
             Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that the result of
@@ -113,7 +113,7 @@ class DesignProblem:
             its loop with the plant.
         work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
-        failure: error of the previous method, if it found no controller.
+        failure: error that the previous method raised, if it found no controller.
     """
 
     plant: Plant
@@ -231,7 +231,7 @@ class DesignResult(ShownResult):
 
     @property
     def remark(self) -> str:
-        """All remarks as one text."""
+        """All notes in `remarks`, joined to one text."""
         return "; ".join(self.remarks)
 
     @property

@@ -7,8 +7,8 @@ designs a law at one level. The exact norm of the sampled-data loop with this la
 next level.
 
 - Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
-- A given order or structure: descent. Descent starts at a level near the lower bound, and continues from the law of the last
-  level.
+- A given order or structure: descent. The first level is near the lower bound. At each later level, descent starts from the
+  law found at the previous level.
 - A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of the
     discrete plant is 1, by the secant method in logarithms. The X of the state feedback (22) at the level of the first step
     gives L (14). The second step (25) has its own level. Every optimum is the limit of a central path. The gain is therefore
@@ -102,7 +102,7 @@ LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law, and the remarks abo
 
 
 class SampledLaw(NamedTuple):
-    """Law, exact norm of the sampled-data loop with this law, and remarks."""
+    """Law that was designed, the exact norm of the sampled-data loop with this law, and remarks on the design."""
 
     law: LinearLaw
     norm: float
@@ -136,7 +136,7 @@ def by_levels(
             bring no improvement.
         best: a law that is already known, if any.
         levels: largest number of levels.
-        higher: factor from one level to the next if no law was found.
+        higher: factor by which the level is multiplied if no law was found.
         work: counter of the computing work that is spent on norms; no new level begins after its limit is exceeded.
 
     Raises:
@@ -268,7 +268,7 @@ def _design_structured(
 
 
 def _above(found: SampledLaw, goal: float) -> str:
-    """Describes the gap between a law's norm and the lower bound."""
+    """Describes, as text, the gap between a law's norm and the lower bound."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
 
@@ -347,7 +347,7 @@ End = tuple[Array, float]  # gain, shape (m, q), and norm of the sampled-data lo
 
 
 def lowest(ends: Sequence[End]) -> End:
-    """Returns the pair of gain and norm with the lowest norm."""
+    """Returns the gain with the lowest norm, and this norm."""
     return min(ends, key=lambda end: end[1])
 
 

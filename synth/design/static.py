@@ -202,11 +202,11 @@ class GainSearch:
         """Args:
         largest_gain: largest allowed |K_ij|, in the units of the plant.
         lower_bound: lower bound on the norm for this type of controller; 0 if no bound is known.
-        structure: argument of `Landscape`.
+        structure: mask of the gain entries that may be nonzero, as in `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
             the limit.
         enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
-        rival: argument of `static_output_feedback`.
+        rival: norm that another design reaches, as in `static_output_feedback`.
         work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
             limit.
         """
@@ -228,7 +228,7 @@ class GainSearch:
         return self.feasible_candidates(self.landscape.point(gain), "the two steps, refined")
 
     def starts(self, most: int = MOST) -> list[Candidate]:
-        """Returns stable points of many magnitudes.
+        """Returns stable starting points with gains of many magnitudes.
 
         If there are none, the result comes from a limited number of stabilising starts.
         """

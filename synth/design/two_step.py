@@ -46,7 +46,7 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
     """Returns the central path of problem (22). The K of the last point is the state gain G_s with the smallest norm.
 
     Args:
-        mu: smallest path parameter; see `central_path`.
+        mu: value of the path parameter at which the path ends; see `central_path`.
 
     Raises:
         NoSolutionError: there is a mode that no state feedback changes by more than rounding errors.
@@ -68,7 +68,7 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     With this L, R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
 
     Args:
-        X: the state-feedback X, shape (n, n).
+        X: matrix X that solves the state-feedback problem (22), shape (n, n).
         Cy: measurement matrix, shape (q, n), of full row rank.
         Q: basis of the nullspace of C_y, shape (n, n - q).
 
@@ -354,7 +354,7 @@ def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state
 
 
 def _result(gain: Array, certificate: Certificate, **more: Any) -> DesignResult:
-    """Returns the design result of a gain."""
+    """Returns a gain and its certificate as a `DesignResult`."""
     return DesignResult(unchecked_static_law(gain), certificate, TWO_STEPS, **more)
 
 
@@ -369,7 +369,7 @@ def state(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by the second step alone, with L = 0."""
+    """Designs a static gain by the second step (25) alone, with L = 0."""
     return zero_l_design(problem.plant, problem.lower_bound)
 
 

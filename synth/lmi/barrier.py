@@ -156,7 +156,7 @@ class FactoredDerivatives(ABC):
         """Returns the eigenvalues r of the step: from p to p + t step, log det changes by the sum of log(1 + t r)."""
 
     def rates(self, step: Array) -> Array:
-        """Returns `block_rates`, followed by the rate of the logarithm."""
+        """Returns the eigenvalues of `block_rates`, followed by the rate of the additional logarithm."""
         rates = self.block_rates(step)
         return rates if self.logarithm is None else np.append(rates, self.logarithm.slope * step[-1])
 
@@ -186,7 +186,7 @@ class Local(FactoredDerivatives):
     """Derivatives of a `Barrier` at a point.
 
     Attributes:
-        W: L^-1 F_i L^-T of every block with k rows, shapes (N, k k).
+        W: matrices L^-1 F_i L^-T of every block with k rows, where the block at the point is L L', shapes (N, k k).
         numbers: L^-1 F_i L^-T of the k blocks with one row that are not joined with other blocks, shape (N, k); None if there
             are no such blocks.
     """
@@ -251,7 +251,7 @@ def newton(
     The iteration stops when the Newton decrement is below the tolerance, or when rounding prevents further progress.
 
     Args:
-        barrier: barrier with derivatives.
+        barrier: barrier that is added to the cost.
         p: feasible starting point, shape (N,).
         c: linear cost, shape (N,).
         tolerance: Newton decrement below which the iteration stops.
@@ -330,7 +330,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
     above `enough`.
 
     Args:
-        barrier: barrier with derivatives.
+        barrier: barrier of the constraints.
         p: feasible point whose last unknown is above `enough`.
         rows: total number of rows of all blocks of the barrier.
         enough: value of the last unknown below which the path ends.

@@ -72,10 +72,10 @@ class CentralPoint:
     """Strictly feasible point on the central path.
 
     Attributes:
-        X: matrix of (12), shape (n, n).
+        X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
         eta: value gamma^-2 of the point. The optimal eta is larger by at most (2 n + d) mu.
-        mu: parameter of the path, divided by eta.
+        mu: path parameter of this point, divided by eta.
         proof: an X that proves the bound, if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
     """
@@ -173,7 +173,7 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
 
 
 def _border(step: float) -> str:
-    """Returns the name of the stability boundary."""
+    """Returns the name of the stability boundary: imaginary axis or unit circle."""
     return "unit circle" if step else "imaginary axis"
 
 
@@ -202,7 +202,7 @@ def fits(count: int, most: int, what: str) -> None:
 
 
 class PathPoint:
-    """Current point of a central path, and the coordinates of this point."""
+    """Current point of a central path that is being followed, and the coordinates in which this point is X = I and Y = 0."""
 
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # the number of rows is a = n - q

@@ -57,7 +57,7 @@ def find_lower_bound(
             w. By default, these are the measurements of the plant. If the plant has no measurements, the bound is for state
             feedback. The bound for state feedback also holds for output feedback, but the bound for output feedback may be
             higher.
-        path: central path of `state_feedback` for this plant, if it is known.
+        path: points of the central path of `state_feedback` for this plant, if they are known.
         beyond_control: bound of `bound_beyond_control`, if it is known.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 

@@ -20,8 +20,8 @@ class LmiSolution:
     """Solution that the solver returned: one of the optimal points, up to the tolerance of the solver.
 
     Attributes:
-        X: matrix of shape (n, n).
-        Y: matrix of shape (m, n).
+        X: matrix X of LMI (24), shape (n, n).
+        Y: matrix Y of LMI (24), shape (m, n).
         eta: gamma^-2.
         status: status of the solver, "optimal" or "optimal_inaccurate".
     """
@@ -91,7 +91,7 @@ def solve_sdp(problem: Any) -> None:
     """Solves a `cvxpy.Problem` with Clarabel. The caller must check the values of the unknowns.
 
     Args:
-        problem: problem with an objective.
+        problem: problem to solve, with an objective.
 
     Raises:
         NoSolutionError: the solver reports that there is no solution.

@@ -22,7 +22,7 @@ from synth.lmi.structured_barrier import SHIFTS
 
 
 class StackedBarrier:
-    """Barrier of the constraints on X and t.
+    """Logarithmic barrier of the constraints on X and t.
 
     Args:
         constant: left side of (20) for V loops with X = 0, shape (V, n + d, n + d).
@@ -103,10 +103,10 @@ class StackedBarrier:
 
 @dataclass(frozen=True, eq=False)
 class StackedLocal(FactoredDerivatives):
-    """Derivatives at a point.
+    """Derivatives of a `StackedBarrier` at a point.
 
     Attributes:
-        barrier: barrier of the constraints.
+        barrier: barrier whose derivatives are given.
         inverse: inverse Cholesky factors of S for every loop, shape (V, n + d, n + d).
         alone: inverse Cholesky factor of X, shape (n, n).
     """

@@ -43,10 +43,10 @@ class Constraint:
     """Constraint S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0.
 
     Attributes:
-        S0: matrix of shape (k, k).
-        left: L, shape (k, n + m).
-        right: R, shape (k, n).
-        last: W, shape (k, k).
+        S0: constant term S0, shape (k, k).
+        left: matrix L, shape (k, n + m).
+        right: matrix R, shape (k, n).
+        last: coefficient matrix W of the last unknown, shape (k, k).
         plain: True for the constraints X > 0 and X < I, with S = X and S = I - X.
     """
 
@@ -139,7 +139,7 @@ class StructuredBarrier:
     """Barrier of constraints on the unknowns of (22) or (25).
 
     Args:
-        constraints: constraints with the same n and m.
+        constraints: constraints on [X; Y] that the barrier represents, all with the same n and m.
         n, m, free: numbers of states, of inputs, and of columns of Q.
     """
 
@@ -285,10 +285,10 @@ def _products(U: Array, V: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StructuredLocal(FactoredDerivatives):
-    """Derivatives at a point.
+    """Derivatives of a `StructuredBarrier` at a point.
 
     Attributes:
-        barrier: barrier of the constraints.
+        barrier: barrier whose derivatives are given.
         bases: matrix U with S^-1 = U U' for every constraint, shapes (k, k).
     """
 

@@ -36,7 +36,7 @@ class Basis:
 
     @classmethod
     def of(cls, plant: Plant, free: int, step: float = 0.0) -> "Basis":
-        """Returns the basis of one plant."""
+        """Returns the unknowns and coefficient matrices for one plant."""
         n, m = plant.B.shape
         return cls(plant.system_matrix, n, m, free, step)
 

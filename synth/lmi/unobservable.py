@@ -36,8 +36,9 @@ class UnobservableReduction:
         Q: matrix Q of the remaining plant, shape (k, a').
         R: matrix R of the remaining plant, shape (k, q').
         Z: coordinates of the whole plant, with the remaining states first, shape (n, n).
-        whole: whole plant in these coordinates, with the loop closed by F.
-        narrow: matrix from the coordinates that R spans to those that the remaining R spans, shape (q', q).
+        whole: whole plant in the coordinates Z, with the loop closed by F.
+        narrow: matrix from the coordinates that the given R spans to the coordinates that the R of the remaining plant spans,
+            shape (q', q).
         F: gain on the coordinates that R spans, shape (m, q).
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
     """

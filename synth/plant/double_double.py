@@ -58,8 +58,8 @@ def solve_closely(high: Array, low: Array, right: Array, C: Array, C_low: Array)
 
     Args:
         high, low: matrix of the equations, shape (..., 2 n, 2 n), and its low-order digits.
-        right: shape (2 n, r).
-        C, C_low: shape (d, n).
+        right: right side of the equations, shape (2 n, r).
+        C, C_low: matrix by which the solution is multiplied, shape (d, n), and its low-order digits.
 
     Returns:
         The result, complex, shape (..., d, r), and the largest change of its entries in the last iteration, shape (...).

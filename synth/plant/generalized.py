@@ -409,7 +409,7 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
 
 
 def _sample_period(dt: object) -> float:
-    """Returns the sample period [s] after a check that it is a positive number within the limits."""
+    """Checks that a sample period is a positive number within the limits, and returns it [s]."""
     allowed = f"give the seconds between samples, from {SMALLEST:g} to {LARGEST:g}, or None for a continuous plant"
     try:
         if isinstance(dt, bool | np.bool_):
@@ -423,12 +423,12 @@ def _sample_period(dt: object) -> float:
 
 
 def real_matrix(value: object, name: str, expected: str) -> Array:
-    """Returns a copy of a matrix after a check: real numbers up to `LARGEST`, and not too many rows or columns.
+    """Returns a copy of a matrix after checks: its entries are real numbers up to `LARGEST`, and its size is allowed.
 
     Args:
         value: array or nested lists.
-        name: name of the matrix, for the message.
-        expected: expected shape, for the message.
+        name: name of the matrix, for error messages.
+        expected: description of the required shape, for error messages.
 
     Raises:
         InputError: the matrix fails the check.

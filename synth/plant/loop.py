@@ -107,7 +107,7 @@ class Loop:
 
     @property
     def direct(self) -> Array:
-        """Direct gain from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
+        """Gain without delay from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
         return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
 
     @property
@@ -339,7 +339,7 @@ def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Arr
 
 
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns outputs of the plant for sinusoidal inputs, complex, shape (F, p, c).
+    """Returns the complex amplitudes of outputs of the plant for sinusoidal inputs, shape (F, p, c).
 
     If the sample period has several steps, held forces cause additional frequencies. The result is then the part at the
     frequency of the input.

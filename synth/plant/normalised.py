@@ -25,11 +25,11 @@ class NormalisedPlant:
     Attributes:
         plant: normalised plant with n states and m independent inputs. Time, w and z are also normalised. The matrix [Cy Dyw]
             has k orthonormal rows.
-        norm: value in normalised units of a norm that is 1 in the given units.
-        independent_rows: indices of the given measurements that do not depend on earlier ones.
-        q: number of given measurements.
+        norm: factor that converts a norm from the given units to normalised units.
+        independent_rows: indices of the given measurements that do not depend linearly on earlier measurements.
+        q: number of measurements of the given plant.
         units: units of states and inputs.
-        rate: rate of the time scale [rad/s].
+        rate: rate that is 1 in normalised units of time [rad/s].
         inputs: matrix W with u = W v, shape (m', m), where u are the m' given inputs in normalised units, and v the m
             independent inputs.
         rows: matrix S, shape (k, k). The given independent measurements are S times the measurements of the normalised plant.

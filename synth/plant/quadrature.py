@@ -36,7 +36,7 @@ class Band:
         omega: nodes in ascending order [rad/s], shape (F,).
         share: quadrature weights [Hz], shape (F,). An integral over frequency is `share @ integrand`.
         values: values of the function at the nodes, shape (F, ...).
-        error: estimate of the largest relative error of an integral that was checked.
+        error: largest estimated relative error among the integrals whose accuracy was checked.
     """
 
     omega: Array
@@ -47,7 +47,7 @@ class Band:
     def before(self, other: "Band") -> "Band":
         """Returns this band followed by the adjacent band `other`.
 
-        The error of the result is that of `other`, whose integrals dominate.
+        The error of the result is the error of `other`, because the integrals over that band dominate.
         """
         pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
         return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)

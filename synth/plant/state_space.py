@@ -53,15 +53,15 @@ class StateSpace:
         return cls(law.A, law.B, law.C, law.D, dt=law.sample_period)
 
     def rows(self, outputs: Sequence[str]) -> list[int]:
-        """Returns the indices of outputs, given their names."""
+        """Returns the indices of the outputs with the given names."""
         return [self.outputs.index(name) for name in outputs]
 
     def columns(self, inputs: Sequence[str]) -> list[int]:
-        """Returns the indices of inputs, given their names."""
+        """Returns the indices of the inputs with the given names."""
         return [self.inputs.index(name) for name in inputs]
 
     def part(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system from the given inputs to the given outputs."""
+        """Returns the system with only the given inputs and outputs."""
         rows, columns = self.rows(outputs), self.columns(inputs)
         D = self.D[np.ix_(rows, columns)]
         return replace(self, B=self.B[:, columns], C=self.C[rows], D=D, inputs=tuple(inputs), outputs=tuple(outputs))

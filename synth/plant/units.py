@@ -54,8 +54,9 @@ class OwnUnits:
     Attributes:
         states: unit of each state in which entries are near 1, expressed in the given unit, shape (n,).
         inputs: unit of each input in which entries are near 1, expressed in the given unit, shape (m,).
-        exact: units before rounding to powers of two, shapes (n,) and (m,); independent of the given units.
-        rate: rate of the plant [rad/s]. The units do not change the unit of time.
+        exact: units of states and inputs before rounding to powers of two, shapes (n,) and (m,). These units do not depend on
+            the given units.
+        rate: characteristic rate of the plant [rad/s]; see `own_units`. The units do not change the unit of time.
     """
 
     states: Array
@@ -137,7 +138,7 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
     Args:
         plant: plant with n states. For a discrete plant, the units are those of `Plant.differences`.
-        measured: True to include C_y.
+        measured: True if the entries of C_y are also brought near 1.
     """
     Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
@@ -167,7 +168,7 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
 
 def _powers(exponents: Any) -> Any:
-    """Returns powers of two with the exponents rounded to integers."""
+    """Returns the powers of two whose exponents are the given numbers, rounded to integers."""
     return np.exp2(np.floor(exponents + UPWARDS))
 
 

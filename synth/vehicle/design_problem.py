@@ -34,8 +34,8 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
     """Returns the design problem of a controller's section without goals.
 
     Args:
-        vehicle: vehicle with the section.
-        entry: controller's section.
+        vehicle: vehicle whose file contains the section.
+        entry: controller's section, which defines the design.
         plant_problem: plant and measurements for which the controller is certified.
         lower_bound: lower bound on the norm for any controller with these measurements.
 

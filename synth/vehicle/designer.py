@@ -140,7 +140,7 @@ class Designer:
 
     @property
     def state_feedback(self) -> CentralPoint:
-        """Optimum of (22)."""
+        """State-feedback controller that is the optimum of (22)."""
         return self.state_path[-1]
 
     @property
@@ -235,7 +235,7 @@ class Designer:
         """Returns the design problem of a controller's section without goals.
 
         Args:
-            entry: controller's section.
+            entry: section of the vehicle file that defines the controller.
             plant_problem: plant and measurements with which the controller is evaluated.
             lower_bound: lower bound on the norm for any controller with these measurements.
             method: name of the only method to use. Default: the methods that fit the problem.

@@ -134,7 +134,7 @@ def _signal(vehicle: Vehicle, name: str) -> Signal:
 
 
 def _names(vehicle: Vehicle, controller: Controller, states: Sequence[str], measured: Sequence[Signal]) -> Names:
-    """Returns the names and units of all signals of a plant."""
+    """Returns the names and units of all signals of a controller's plant."""
     model, hardware = vehicle.linear_model, controller.hardware
     noise = zip(measured, hardware.noise, strict=False)
     return {

@@ -77,7 +77,7 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
 
 
 def with_outputs_of_norm(vehicle: Vehicle, norm: NormOf) -> Vehicle:
-    """Returns the vehicle with the signals and weights of a norm goal as its output z."""
+    """Returns the vehicle whose output z contains the signals of a norm goal, with the weights of this goal."""
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
@@ -176,9 +176,9 @@ def goals_design(
     """Designs the controller of a section with goals.
 
     Args:
-        vehicle: vehicle with the section.
-        entry: controller's section.
-        goals: goals of the section.
+        vehicle: vehicle whose file contains the section.
+        entry: section of the vehicle file that defines the controller.
+        goals: norm to minimise, bounds and tolerance that the section contains.
         plant_problem: control problem for the certificate; z is defined in `[performance]` and weighted at all frequencies.
         lower_bound: lower bound on the norm for any controller with these measurements.
         on_progress: function that is called with the progress of the search.
@@ -221,9 +221,9 @@ def verify_specifications(
     """Verifies a given gain against the goals of its section.
 
     Args:
-        vehicle: vehicle with the section.
-        entry: controller's section.
-        goals: goals of the section.
+        vehicle: vehicle whose file contains the section.
+        entry: section of the vehicle file that defines the controller.
+        goals: norm to minimise, bounds and tolerance that the section contains.
         law: static law of the section.
         search: True to include, for a family, the ratio of the norm to each vehicle's individual optimum. This ratio requires
             additional designs.

@@ -41,8 +41,8 @@ class PrintedNumber:
         equation: number of the equation in the paper.
         quantity: symbol of the quantity.
         entry: row and column, counted from 0; None for a scalar.
-        value: published value.
-        digit: unit of the last published digit.
+        value: number that the paper published.
+        digit: value of one unit in the last published digit.
         reason: reason why Roadproof's value differs in the last published digit; empty if it does not differ.
     """
 
@@ -148,11 +148,11 @@ class Way:
 
     Attributes:
         controller: name of the controller, I or II.
-        how: name of the method.
+        how: name of the design method.
         gain: gain K, shape (1, q).
         norm: norm of the closed loop.
         work: text with the number of LMI problems that were solved, or of norms that were computed.
-        seconds: processor time [s].
+        seconds: processor time that the method needed [s].
     """
 
     controller: str

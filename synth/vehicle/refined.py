@@ -22,7 +22,7 @@ class RefinedController:
 
     Attributes:
         controller: refined controller with its certificate.
-        start: controller before refinement; None if the two steps found no gain.
+        start: controller that was refined; None if the two steps found no gain.
         origin: description of the starting point of the descent; empty if the descent began at `start`.
         refinement: norms before and after the refinement, growth of the gain, and the decrease that was rejected because it was
             too small.
@@ -46,7 +46,7 @@ def refine_controller(
 
     Args:
         vehicle: vehicle of the controller.
-        entry: controller's section.
+        entry: section of the vehicle file that defines the controller.
         problem: control problem with which the controller is evaluated.
         start: controller to refine; None if the two steps found no gain. In this case, the best result from other starting
             points is used.

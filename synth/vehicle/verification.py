@@ -39,8 +39,8 @@ class Verification:
     Attributes:
         vehicle, entry, goals: vehicle, controller's section, and goals of the section.
         problem: goals as an optimisation problem on plants.
-        K: gain, shape (m, q).
-        known: worst norms that are already computed.
+        K: gain that is verified, shape (m, q).
+        known: worst norms for gain errors that are already computed, so that they are computed only once.
     """
 
     vehicle: Vehicle
@@ -108,10 +108,10 @@ class Verification:
         """Returns the specification of the largest value among the vehicles of the family.
 
         Args:
-            what: name of the quantity.
-            of: value of the quantity and proved bound, for each vehicle.
+            what: name of the quantity that the specification describes.
+            of: value of the quantity for each vehicle, with a proved bound.
             at_most: largest allowed value; None if the quantity is minimised.
-            unit: unit of the values.
+            unit: unit of the values and of `at_most`.
             at: description of where each value occurs, such as its frequency; may be empty.
             proofs: proof of each bound for all gain errors; empty if there are no errors.
         """

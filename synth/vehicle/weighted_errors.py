@@ -75,7 +75,7 @@ def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:
 def _of_added_force(
     vehicle: Vehicle, bandwidth: float | None, of_states: tuple[int, ...], of_z: tuple[int, ...]
 ) -> tuple[Array, Array]:
-    """Returns B and D for a force that is added to the requested force. z contains only the requested force."""
+    """Returns the matrices B and D of a force that is added to the requested force. z contains only the requested force."""
     forces = vehicle.linear_model.inputs
     other = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal not in forces]
     without = [replace(one, terms={name: by for name, by in one.terms.items() if name not in forces}) for one in vehicle.sums]

@@ -40,7 +40,7 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        bound: bound on the norm. If it is None, a value just above the norm is used.
+        bound: upper bound on the norm that is claimed. If it is None, a value just above the norm is used.
         known: an X that proves the bound, if one is known, shape (n, n).
     """
     plain = floats(loop, dt)
@@ -110,7 +110,7 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 
     Args:
         loop: closed loop in rational arithmetic, without feedthrough from w to z.
-        bound: bound on |z|.
+        bound: upper bound on |z| that is claimed.
         X: solution of the Lyapunov inequality that proves the bound, shape (n, n).
     """
     level = decimal(np.nextafter(bound, np.inf))  # the value is rounded up, so it is not below `bound`
@@ -123,7 +123,7 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
     """Returns one claim for each part of a box of gain errors; None if a claim is not proved.
 
-    Either all claims are about the norm, or all claims are about the decay.
+    Either all claims bound the norm, or all claims bound the decay rate.
 
     Args:
         loop: closed loop without gain errors, in rational arithmetic.

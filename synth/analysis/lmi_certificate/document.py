@@ -101,7 +101,7 @@ class Document:
 
         Args:
             plant: name of the plant.
-            what: description of the claim.
+            what: description of the claims, used in the list of claims without a proof.
             claims: one claim or several claims; if there is no proof, a text with the reason, or None.
         """
         if claims is None or isinstance(claims, str):
@@ -122,7 +122,7 @@ class Document:
             plant: plant with the states of the law.
             loop: closed loop of the gain with this plant.
             certificate: certificate of the closed loop.
-            of: plant to which the lower bound applies. The states of this plant are the first states of `plant`. None if the
+            of: plant to which the lower bound applies; its states are the first states of `plant`. None if the
                 file cannot contain a proof of the lower bound, because the plant of the bound has different states.
         """
         proof, below = certificate.proof, certificate.below

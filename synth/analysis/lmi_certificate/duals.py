@@ -53,7 +53,7 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest proved level among gamma and some levels just below it; 0 if no level is proved."""
+    """Returns the largest proved lower bound among gamma and some values just below it; 0 if none of them is proved."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
@@ -109,7 +109,10 @@ def _duals(
 
 
 def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int) -> Array | None:
-    """Returns W of a dual solution W W', shape (n + d, k), as fractions; the freely chosen entries have at most `bits` bits."""
+    """Returns the factor W of a dual solution W W' in exact fractions, shape (n + d, k).
+
+    The entries of W that no equation fixes are rounded to at most `bits` bits.
+    """
     factors = None if side.antistable is not None else dual_factors(side, certificate)
     if factors is None:
         return None

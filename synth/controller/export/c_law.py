@@ -60,14 +60,14 @@ class ExportedLaw:
         output_units: units of the outputs.
         law: sampled linear law with k states; zero for a semi-active law.
         resolution: quantisation step of each measurement, shape (q,); 0 for a measurement that is not quantised.
-        limit: largest force [N]; None without limit.
-        change: largest change of a force per sample [N]; None without limit.
+        limit: largest allowed magnitude of each force [N]; None without limit.
+        change: largest allowed change of a force per sample [N]; None without limit.
         delay: delay from a measurement to its output [samples].
         anti_windup: anti-windup gain, shape (k, m); None without anti-windup.
         dampers: nominal coefficient of each semi-active damper, and the smallest and largest difference from this coefficient
             [N s/m]; empty for force actuators.
         semi_active: name of the semi-active law; empty for a linear law.
-        coefficients: numbers of the semi-active law; None for a linear law.
+        coefficients: parameters of the semi-active law; None for a linear law.
         modes: number of measurements of body modes; they come before the measurements of the suspensions.
         ranges: largest magnitude of each measurement for fixed-point code, shape (q,); None for floating point.
         range_sources: text that describes the source of each range.
@@ -97,7 +97,7 @@ class ExportedLaw:
 
     @cached_property
     def fixed(self) -> FixedPoint | None:
-        """For fixed point, units and integer coefficients; None for floating point."""
+        """Units and integer coefficients of a fixed-point law; None for floating point."""
         if self.ranges is None:
             return None
         return fixed_point(self.numbers, self.law, self.anti_windup, self.limit, self.change, self.resolution, self.ranges)
@@ -114,7 +114,7 @@ class ExportedLaw:
 
     @property
     def largest(self) -> dict[str, float] | None:
-        """For fixed point, largest magnitude of each measurement, by name; None for floating point."""
+        """Largest magnitude of each measurement of a fixed-point law, by name; None for floating point."""
         return None if self.ranges is None else dict(zip(self.inputs, self.ranges.tolist(), strict=True))
 
     @property
@@ -148,10 +148,10 @@ def exported_law(
         vehicle: vehicle with its limits and implementation.
         driver: controller of this vehicle.
         numbers: number format, as in `ExportedLaw`.
-        name: prefix of the names in C.
+        name: prefix of all names in the C code.
         ranges: largest magnitude of each measurement for fixed-point code, by name. Measurements with a proved peak may be
             omitted.
-        sources: descriptions of the sources of those `ranges` that the user did not give, by name.
+        sources: text for each range that the user did not give, by name of the measurement; it tells how the range was found.
 
     Raises:
         InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers

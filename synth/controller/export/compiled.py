@@ -97,11 +97,11 @@ class CompiledStep:
     """Controller that runs compiled code. A call of `step()` computes the outputs `given` from the inputs `seen`.
 
     Attributes:
-        seen: inputs in the order of the law's inputs; write them before a step.
-        given: outputs of the last step.
-        x: states after the last step.
-        step: function that executes a step.
-        state: bytes of the state struct.
+        seen: array of input values, in the order of the law's inputs; the caller fills it before each step.
+        given: array of output values that the last step computed.
+        x: array of the law's states after the last step.
+        step: function that computes `given` and the next states from `seen`.
+        state: bytes of the C struct that stores the state.
     """
 
     def __init__(self, code: ExportedCode) -> None:

@@ -35,14 +35,14 @@ class FixedPoint:
 
     Attributes:
         largest: integer at which all values are clipped.
-        seen: units of the measurements, shape (q,).
-        given: units of the forces [N], shape (m,).
-        state_units: units of the states, shape (k,).
+        seen: size of one integer step of each measurement, in the measurement's unit, shape (q,).
+        given: size of one integer step of each force [N], shape (m,).
+        state_units: size of one integer step of each state, shape (k,).
         rows: integer coefficients, shape (m + k, q + k + m). The first m rows belong to the forces, the other rows to the next
             states. The columns belong to the measurements, the states, and the parts of the forces that a limit removes.
         shifts: exponent of each row by which its sum is divided (2^shift), shape (m + k,).
-        limit: largest force, in the unit of each force, shape (m,); None without limit.
-        change: largest change of a force per sample, in the unit of each force, shape (m,); None without limit.
+        limit: largest allowed magnitude of each force, in the units `given`, shape (m,); None without limit.
+        change: largest allowed change of each force per sample, in the units `given`, shape (m,); None without limit.
     """
 
     largest: int
@@ -91,8 +91,8 @@ def fixed_point(
         numbers: number format, "int16" or "int32".
         law: discrete law with q measurements, m forces and k states.
         L: anti-windup gain, shape (k, m); None without anti-windup.
-        limit: largest force [N]; None without limit.
-        change: largest change of a force per sample [N]; None without limit.
+        limit: largest allowed magnitude of each force [N]; None without limit.
+        change: largest allowed change of a force per sample [N]; None without limit.
         resolution: quantisation step of each measurement, shape (q,); 0 for a measurement that is not quantised.
         ranges: largest magnitude of each measurement, shape (q,).
 

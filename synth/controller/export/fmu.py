@@ -62,7 +62,7 @@ class Fmu:
         content: bytes of the file.
         token: GUID (FMI 2) or instantiation token (FMI 3).
         platforms: folders of the binaries in the FMU.
-        missing: reason why binaries for some platforms are missing; empty if no platform is missing.
+        missing: reason why the file contains no binaries for some platforms; empty if no platform is missing.
     """
 
     content: bytes

@@ -27,7 +27,7 @@ class FmuModel:
         inputs: m input signals; their names differ from the names of the outputs.
         outputs: p output signals.
         states: n continuous states, as signals; empty for a sampled law.
-        period: required length of a step [s]; None if steps may have any length.
+        period: length that every simulation step must have [s]; None if steps may have any length.
         delay: delay from an input to its output [samples]; 0 for a linear system.
         start: outputs before the first step, shape (p,).
         slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The first p rows belong to the outputs, the

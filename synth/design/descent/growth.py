@@ -32,14 +32,14 @@ def lower_by_growth(
     bought: Callable[[Value, Value], float],
     size: float | None = None,
 ) -> tuple[Array, Value, tuple[float, float] | None]:
-    """Lowers a value from a starting point, first with a fixed largest entry, then in stages that may double the largest entry.
+    """Lowers a function, first with a fixed limit on the largest entry of the point, then in stages that may double the limit.
 
     Args:
         x: point of a landscape.
-        value: value at this point.
+        value: value of the objective function at this point.
         lower: function that takes a point, its value and a limit on the entries, and returns a better point and its value.
-        bought: function that takes two values and returns the relative decrease from the first to the second.
-        size: largest entry of the point. Default: computed from the point.
+        bought: function that takes two objective values and returns the relative decrease from the first to the second.
+        size: largest absolute value of an entry of the point. Default: computed from the point.
 
     Returns:
         Final point, its value, and the decrease and the growth in the stage that was undone. The last item is None if no stage

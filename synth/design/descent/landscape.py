@@ -141,7 +141,7 @@ class Work:
 
     @property
     def over(self) -> bool:
-        """True if the computing work has reached its limit."""
+        """True if the counted computing work has reached the limit."""
         return self.done >= self.limit
 
     @property

@@ -271,7 +271,7 @@ def descend(
 
 
 class _Walk:
-    """Current state of one descent."""
+    """Current state of one descent: its point, coordinates, penalty and curvature."""
 
     def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float, flat: float) -> None:
         self.minimax, self.x, self.M, self.settled, self.flat = minimax, x, M, settled, flat
@@ -315,7 +315,7 @@ class _Walk:
         return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
 
     def step(self) -> bool:
-        """Performs one iteration. Returns True if another iteration may follow."""
+        """Performs one iteration of the descent. Returns True if another iteration may follow."""
         minimax, x, M = self.minimax, self.x, self.M
         if self.failures > 8 or self.evaluation.goal <= 1e-300:
             return False

@@ -75,7 +75,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
     """Returns the point with the smallest norm among the first stable points; None if no point is stable.
 
     Args:
-        landscape: the landscape of the points.
+        landscape: landscape that gives the norm at each point.
         points: points to compare, shape (count, N).
     """
     stable = points[:0]

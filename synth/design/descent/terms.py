@@ -79,12 +79,12 @@ class NormTerm(Term):
         self.peak = np.inf  # frequency of the peak at the last point [rad/s]
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the norm."""
+        """Returns the norm, divided by the unit."""
         height, self.peak = self.landscape.norm(x, above * self.unit)
         return height / self.unit
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the gains at all local maxima that are close to the highest peak."""
+        """Returns the gains at all local maxima over frequency that are close to the highest peak."""
         height = value * self.unit
         omega = self.landscape.summits(x, height * (1 - depth))
         return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)

@@ -240,7 +240,7 @@ class _Search:
 
     @property
     def no_law(self) -> str:
-        """Message that explains why no law was found."""
+        """Text of the error that explains why no law was found."""
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:
@@ -311,7 +311,7 @@ class _Search:
         return [_sum(laws) for laws in zip(*each, strict=False)]
 
     def filled(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
-        """Returns laws with the number of states of a structure, made from a law that may have fewer states.
+        """Returns laws with as many states as a structure requires, made from a law that may have fewer states.
 
         Even a full-order law may have fewer states than the plant.
         """
@@ -355,14 +355,14 @@ class _Search:
         whole: bool = True,
         sought: int = 0,
     ) -> End:
-        """Returns the law with the smallest norm that the search finds, if possible with poles slow enough for an actuator.
+        """Returns the law with the smallest norm that the search finds; if possible, with poles slow enough for an actuator.
 
         Args:
             starts: laws of this structure, possibly with fewer states, each with a name. If none of their loops is stable,
                 other starts are used.
-            origin: name of the start in the result. Default: the name of the best start.
+            origin: name that the result gives as its starting point. Default: the name of the best start.
             whole: True to run the search to its end; False for its first descents only.
-            sought: number of stabilising starts that are sought if none of `starts` is stable.
+            sought: number of stabilising starting points to find if none of `starts` is stable.
 
         Raises:
             DesignError: no starting point has a stable loop.
@@ -445,6 +445,6 @@ class _Search:
 
 
 def _sum(laws: Sequence[LinearLaw]) -> LinearLaw:
-    """Returns the law whose output is the sum of the outputs of several laws; it has all their states."""
+    """Returns the law whose output is the sum of the outputs of several laws. The law contains the states of all these laws."""
     A, D = np.asarray(linalg.block_diag(*(law.A for law in laws))), np.sum([law.D for law in laws], axis=0)
     return LinearLaw(A, np.vstack([law.B for law in laws]), np.hstack([law.C for law in laws]), D, laws[0].sample_period)

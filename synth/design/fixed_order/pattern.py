@@ -39,7 +39,7 @@ class StructuredGain:
     shape: tuple[int, int]
 
     def law(self, gain: Array) -> LinearLaw:
-        """Returns the law that belongs to a gain."""
+        """Returns the law that a gain of the larger plant represents."""
         if self.filters is not None:
             one = self.filters
             return LinearLaw(one.A, one.B, gain @ one.C, gain @ one.D, one.sample_period)
@@ -48,7 +48,7 @@ class StructuredGain:
         return gain_law(gain, m, q, dt)
 
     def gain(self, law: LinearLaw) -> Array:
-        """Returns the gain that belongs to a law, with zeros where the structure requires them."""
+        """Returns the gain of the larger plant that represents a law, with zeros where the structure requires them."""
         if self.filters is not None:
             return np.where(self.free, _on(self.filters, law), 0.0)
         return np.where(self.free, law_gain(law), 0.0)
@@ -102,7 +102,7 @@ def _on_filters(structure: LawStructure, rows: Array, plant: Plant) -> Structure
 
 
 def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
-    """Returns the gains kp, ki and, for PID, kd of a law with this structure, one row for each force."""
+    """Returns the gains kp, ki and, for PID, kd of a law with a PI or PID structure, one row for each force."""
     rows = np.array(structure.rows, dtype=float)
     filters = _filters(structure, rows, law.sample_period)
     parts = len(filters.D) // len(rows)

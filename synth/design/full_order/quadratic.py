@@ -188,7 +188,7 @@ def h2_norm(loop: Plant) -> float:
 
 @numerics()
 def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
-    """Returns the law of `lqg_design`, but without checks, norm and certificate, for use in a search over weights.
+    """Returns the same law as `lqg_design`, but without checks, norm and certificate, for use in a search over weights.
 
     Args:
         plant: generalised plant with n states and q measurements.

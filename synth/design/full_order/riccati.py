@@ -62,7 +62,7 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs, where D has rank m.
-        gamma: required norm.
+        gamma: value below which the norm of the closed loop must be.
 
     Raises:
         InfeasibleError: no law has this norm, or rounding prevents finding it.
@@ -266,8 +266,8 @@ class TradeOffPoint:
 
     Attributes:
         share: share of noise and cost that was added in the design; zero if the law was found by descent.
-        law: law in the given units.
-        own: law in the plant's internal units.
+        law: control law in the units of the given plant.
+        own: the same control law in the plant's internal units.
         search: search that found the law.
         least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
             the time that a norm takes, and the estimate rules out most points.
@@ -362,8 +362,8 @@ class RiccatiSearch:
     """Search for a full-order law for one plant.
 
     Attributes:
-        fastest: speed of the plant without control [rad/s].
-        much: multiple of `fastest`; a loop that is faster must have a lower norm (`PRICE`).
+        fastest: speed of the plant without control [rad/s]; see `speed`.
+        much: multiple of `fastest`. A loop that is faster than this multiple must have a lower norm; see `PRICE`.
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
@@ -413,7 +413,7 @@ class RiccatiSearch:
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares between two neighbours on a front: the last slow enough and the first too fast one."""
+        """Returns controllers for shares between those of two neighbours on a front, one slow enough and one too fast."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )

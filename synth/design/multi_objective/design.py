@@ -27,12 +27,12 @@ class MultiObjectiveDesign:
     """Result of a multi-objective design.
 
     Attributes:
-        gain: gain matrix K, shape (m, q).
+        gain: gain matrix K that was found, shape (m, q).
         goal: largest norm over all members and all errors found, or largest ratio of a member's norm to its individual optimum.
         rejected_improvement: relative decrease of the goal that a gain up to twice as large would achieve. The decrease was
             rejected as too small. None if no decrease was rejected.
         errors: gain errors that the search took into account, in addition to the case without errors.
-        problem: problem that was solved.
+        problem: multi-objective problem that the gain solves.
     """
 
     gain: Array

@@ -51,8 +51,8 @@ class BoundedSignal:
         c: row vector of the states, shape (n,).
         g: row vector of the inputs, shape (m,).
         at_most: largest allowed magnitude for the given energy.
-        root: square root of the energy, which is the integral of |w|^2.
-        name: description of the bound.
+        root: square root of the energy of the disturbance, which is the integral of |w|^2.
+        name: description of the bound, used in messages.
     """
 
     public_name = "a bounded signal"
@@ -76,11 +76,11 @@ class EnergyPeak(Term):
         return self._solved(x)[0]
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the function itself, because it is smooth."""
+        """Returns the term itself as the only function, because the term is smooth."""
         return self._made(x, touching=True)
 
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the function itself at another point."""
+        """Returns the term itself, evaluated at another point."""
         return self._made(x, touching=False)
 
     def _made(self, x: Array, touching: bool) -> Linearisation:

@@ -37,7 +37,7 @@ class RoadPeak(Term):
         """Args:
         driven: plant on its road, with the signal.
         scale: scale of each entry of the gain, as in a landscape, shape (m, q).
-        unit: bound on the magnitude.
+        unit: largest allowed magnitude of the signal, to which values are relative.
         """
         self.driven, self.scale, self.name = driven, scale, driven.name
         self.spare = SPARE

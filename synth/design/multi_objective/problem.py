@@ -85,7 +85,7 @@ class FamilyMember(CheckedFields):
 
     Attributes:
         plants: the plant with its measurements, once for each norm; z contains the signals of this norm.
-        driven_by: one entry for each bounded peak, with the plant, its road, and the bounded signal.
+        driven_by: plant, road and bounded signal of each bound on a peak.
         signals: signals of the first plant in `plants` that are bounded for disturbances of a given energy.
     """
 
@@ -126,12 +126,12 @@ class MultiObjectiveProblem(CheckedFields):
 
     Attributes:
         members: members of the family; a single member for one plant.
-        minimise: norm that is minimised.
+        minimise: norm whose largest value is minimised.
         norms: bounds on norms.
         decay: required decay rate [rad/s], so that all poles have a real part below -decay; None requires only stability.
         peaks: largest allowed magnitude of each signal in `driven_by`.
         gain: largest allowed |K_ij|; None if there is no limit.
-        tolerance: largest gain errors that must be tolerated.
+        tolerance: largest relative gain errors that the loop must tolerate.
         structure: mask of the entries of K that may be nonzero, shape (m, q).
         bests: individual optima of the members, if the largest ratio of a norm to its individual optimum is minimised; None to
             minimise the largest norm.

@@ -102,16 +102,16 @@ class RoadResponse:
     """Motion of one plant with different gains over one road, at equidistant times.
 
     Attributes:
-        h: time step [s].
-        time: times from 0 [s], shape (T,).
+        h: time between two computed points of the motion [s].
+        time: times of the computed motion, beginning with 0 [s], shape (T,).
         pieces: intervals into which steps with a kink are split, in order of time.
     """
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
         """Args:
-        driven: plant on its road.
+        driven: plant, the road on which it moves, and the bounded signal.
         step: time step [s].
-        length: approximate last time [s].
+        length: approximate duration of the computed motion [s].
         """
         self.driven, self.h = driven, step
         drive, count = driven.drive, max(2, int(np.ceil(length / step)))
@@ -134,7 +134,7 @@ class RoadResponse:
         self.piece_ends = ends - self.time[self.piece_steps]  # times relative to the beginning of the steps
 
     def _split(self, k: int) -> list[QuadratureInterval]:
-        """Splits a step with kinks into intervals."""
+        """Splits a time step that contains kinks into intervals."""
         start, end = float(self.time[k]), float(self.time[k]) + self.h
         kinks = self.driven.drive.kinks
         kinks = np.clip(kinks[(kinks >= start - NEXT * self.h) & (kinks <= end + NEXT * self.h)], start, end)
@@ -199,7 +199,7 @@ class RoadResponse:
         return flat @ weights.real + 1j * (flat @ weights.imag)
 
     def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
-        """Returns the same as `motion`, but computed step by step, for loops whose modal form is too inaccurate."""
+        """Returns the same motion as `motion`, but computed step by step, for loops whose modal form is too inaccurate."""
 
         def kernels(length: float) -> Array:
             return np.stack([w * length * linalg.expm(A * length * (1 - s)) @ E for s, w in zip(self.s, self.w, strict=True)])
@@ -234,8 +234,8 @@ class RoadResponse:
 
 
         Args:
-            values: values of a signal at all times, shape (T,).
-            slopes: time derivatives, shape (T,).
+            values: values of the signal at all times, shape (T,).
+            slopes: time derivatives of the signal at all times, shape (T,).
         """
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):
@@ -276,7 +276,7 @@ def _finite(rates: Array) -> Array:
 
 
 def step_for(rate: float, share: float, end: float) -> float:
-    """Returns the time step for the fastest motion and for the road.
+    """Returns a time step that is short enough for the fastest motion and for the road.
 
     In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is shorter, down to an
     eighth.

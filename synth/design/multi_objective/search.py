@@ -123,13 +123,13 @@ class MinimaxSearch:
         return best
 
     def keep_decay(self, x: Array) -> None:
-        """Requires that the decay rate stays above a share of the decay rate that a point has with errors."""
+        """Requires that the decay rate stays above a fraction of the decay rate that a given point has with gain errors."""
         self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(x))[0] for i in range(len(self.problem.members)))
         self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
         self.incumbent = None  # the stored point may decay more slowly than the new rate
 
     def evaluate(self, x: Array) -> Evaluation:
-        """Evaluates a point, and stores it if it is the best point within all bounds."""
+        """Evaluates a point, and stores it if it is the best point so far that fulfils all bounds."""
         evaluation = self.minimax.evaluate(x)
         self.update_incumbent(x, evaluation)
         return evaluation
@@ -141,7 +141,7 @@ class MinimaxSearch:
         return x, evaluation
 
     def update_incumbent(self, x: Array, evaluation: Evaluation) -> None:
-        """Stores a point if it is the best point within all bounds."""
+        """Stores a point if it is the best point so far that fulfils all bounds."""
         if (
             evaluation.within
             and np.isfinite(evaluation.goal)
@@ -165,7 +165,7 @@ class MinimaxSearch:
         return self.full.point(np.full(self.full.shape, gain))
 
     def minimax_problem(self, errors: Sequence[GainErrors]) -> MinimaxProblem:
-        """Returns the problem with all terms, for given gain errors."""
+        """Returns the minimax problem that contains the goals and bounds for given gain errors."""
         return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
@@ -221,7 +221,7 @@ class MinimaxSearch:
             self.minimax.limit = whole
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
-        """Returns the cost of a point. If the gain has no limit, the cost includes a penalty on the size of the gain."""
+        """Returns the cost by which points are ranked. If the gain has no limit, the cost includes a penalty on its size."""
         worth = price(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + worth)
 
@@ -272,7 +272,7 @@ class MinimaxSearch:
         return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 
     def down(self, x: Array, rounds: int) -> tuple[Array, Evaluation]:
-        """Performs a descent, and returns its result."""
+        """Performs a descent, and returns the final point with its evaluation."""
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved, flat=FLAT * self.settled / CLOSELY)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:

@@ -33,7 +33,7 @@ class WorstCaseErrors:
         self.landscape = cache(self._landscape)
 
     def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, GainErrors]]:
-        """Yields, for every member, the worst errors for the goal, for each bound on a norm, and for the decay rate.
+        """Yields, for every member, the worst errors found for the goal, for each bound on a norm, and for the decay rate.
 
         Each item contains the errors and a value relative to the known goal or to the bound. A value above 1 means that the
         errors are worse than all known errors.

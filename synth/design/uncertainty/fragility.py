@@ -88,7 +88,7 @@ class ErrorMargin:
 
     Attributes:
         proved_margin: errors up to this size, in any combination, are proved harmless; 0 if nothing is proved.
-        bound: proved bound on the norm for these errors; infinite if nothing is proved.
+        bound: proved bound on the norm for all errors up to `proved_margin`; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors found; infinite if no errors up to 1 are harmful.
         readings, forces: smallest harmful relative errors of measurements and forces, shapes (q,) and (m,). If no errors are
             harmful, the values are 1 and -1 along the worst ray.
@@ -108,9 +108,9 @@ class Fragility:
     """Fragility of a loop: relative errors of measurements and forces that the loop tolerates.
 
     Attributes:
-        norm: norm without errors.
+        norm: H-infinity norm of the loop without errors.
         stable: margin of errors up to which the loop remains stable.
-        heights: norm as a function of the factors on measurements and forces.
+        heights: function that gives the norm for factors on measurements and forces.
         rays: directions along which errors are tried, from the centre of a box to k corners, shape (k, q + m).
         shares: allowed relative increases of the norm, which are the keys of `within`.
     """
@@ -262,7 +262,7 @@ def record(
 
 
 def whose(report: Fragility) -> str:
-    """Lists the quantities that have errors, as text."""
+    """Names, as text, the quantities that have errors."""
     return "measurements and forces" if len(report.stable.forces) > 1 else "measurements"
 
 

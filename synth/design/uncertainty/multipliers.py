@@ -77,10 +77,10 @@ class MultiplierForm:
     """Hermitian form of a loop for one choice of multipliers.
 
     Attributes:
-        loop: loop, opened at its errors.
-        D, G: diagonals of the multipliers, shapes (k,).
-        square: gamma^2; not used if the loop has neither w nor z.
-        of_errors: 1 / |delta_k|^2, where |delta_k| is the largest size of an error.
+        loop: closed loop, opened at its k gain errors.
+        D, G: diagonals of the multiplier matrices D and G, shapes (k,).
+        square: gamma^2, for the bound gamma on the norm; not used if the loop has neither w nor z.
+        of_errors: 1 / |delta|^2, where |delta| is the largest size of an error for which the bound is proved.
     """
 
     loop: StructuredLoop

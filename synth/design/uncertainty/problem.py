@@ -37,8 +37,8 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
 
     Args:
         gain: loop with q measurements and m forces, in addition to the states of a law.
-        d: largest error of all measurements, or of each measurement, shape (q,).
-        e: largest error of all forces, or of each force, shape (m,).
+        d: largest relative error of all measurements, or of each measurement, shape (q,).
+        e: largest relative error of all forces, or of each force, shape (m,).
 
     Raises:
         InputError: there are too many errors, or an error is not between 0 and 1.

@@ -101,7 +101,7 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
         M: matrix, complex, shape (d + k, r + k).
         errors: number k of errors.
         start: logarithms of the scales with which the search begins. Default: zero.
-        enough: the search ends early if a value is below this limit.
+        enough: value of |D M D^-1| below which the search ends early.
     """
     k = errors
     x = np.zeros(k) if start is None else np.clip(start, -FURTHEST, FURTHEST)

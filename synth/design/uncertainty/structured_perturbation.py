@@ -42,7 +42,7 @@ class WorstErrors:
 
     Attributes:
         mu: lower bound on the structured singular value.
-        frequency: frequency at which this value is attained [rad/s].
+        frequency: frequency at which the structured singular value is at least `mu` [rad/s].
         errors: stable errors Delta, each with a norm of at most 1 / mu.
     """
 

@@ -44,7 +44,7 @@ class WorstCaseNormFunction:
 
     Attributes:
         highest: largest norm found so far; infinite if an unstable loop was found.
-        at: factors at this norm, shape (q + m,).
+        at: factors for which the norm is `highest`, shape (q + m,).
     """
 
     def __init__(self, gain: ScaledGain) -> None:
@@ -92,7 +92,7 @@ class WorstCaseNormFunction:
 
 
 def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
-    """Searches for the largest norm in a box. `heights` stores the result. The search ends if it finds an unstable loop."""
+    """Searches for the largest norm in a box, and stores it in `heights`. The search ends if it finds an unstable loop."""
     free = box.uncertain
     points = box.vertices if len(free) <= ALL else vertex_search(heights, box)
     points = np.concatenate([points, box.middle[None]])
@@ -131,7 +131,7 @@ def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
 
 
 def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
-    """Increases the norm by moving from a starting point within the box."""
+    """Searches for a larger norm by moving through the box from a starting point."""
     free = box.uncertain
     middle, half = box.middle, (box.high - box.low)[free] / 2
 
@@ -409,8 +409,8 @@ def worst_norm(
         plant: generalised plant with n states and m inputs; continuous or discrete.
         Cy: measurement matrix, shape (q, n). Default: the Cy of the plant.
         K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces have the errors.
-        d: largest error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
-        e: largest error of all forces, or of each force, shape (m,).
+        d: largest relative error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
+        e: largest relative error of all forces, or of each force, shape (m,).
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
         through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
         enough: a bound that is sufficient. If the proved bound is larger, a separate proof of this bound is tried. None if

@@ -69,7 +69,7 @@ def _between(kept: Callable[[float], bool], before: float, after: float) -> floa
 
 
 def _modes(vehicle: Vehicle, controller: Controller) -> Array:
-    """Returns the poles of the vehicle with its actuators, and the poles of the law itself [rad/s]."""
+    """Returns the poles of the vehicle with its actuators, followed by the poles of the law itself [rad/s]."""
     return np.concatenate([np.linalg.eigvals(A) for A in (with_lag(vehicle).A, controller.law.continuous().A)])
 
 
@@ -97,14 +97,14 @@ class Cost:
     """Norms of a controller at several sample rates.
 
     Attributes:
-        controller: controller of the loop.
+        controller: controller whose norms are given.
         ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
         lower_bound: lower bound on the norm with these measurements at any rate; None if no bound is known. The bound is proved
             for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
-        delay: delay of the forces for the norms with delay [samples].
+        delay: delay of the forces that `delayed_norm` and `lost_late` take into account [samples].
         rates: norms at each sample rate, in ascending order of the period.
         unstable_period: shortest sample period at which the loop is not stable [s]; see `smallest_unstable_period`.
-        lost_late: shortest sample period at which the loop with delay is not stable [s].
+        lost_late: shortest sample period at which the loop with the delay `delay` is not stable [s].
     """
 
     controller: Controller
@@ -140,7 +140,7 @@ def cost(
         controller: linear controller.
         periods: sample periods in ascending order [s].
         designs: periods for which a static controller is also redesigned [s].
-        done: function that is called with the number of finished periods.
+        done: function that is called with the number of sample periods that are finished.
 
     Raises:
         DesignError: the loop has no finite norm at any rate, because a constant road height affects z.
@@ -171,7 +171,7 @@ def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: floa
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if the controller can also be designed for a sampled-data loop, as for a static gain without noise."""
+    """Returns True if the controller can also be designed for a sampled-data loop, as a static gain without noise can."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or goes("rates", entry.parts)
     return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)
@@ -190,7 +190,7 @@ def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near:
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the lower bound for controllers without delay; the bound also holds with delay or lag.
+    """Returns the lower bound on the norm for controllers without delay; the bound also holds with delay or lag.
 
     The result is None if z contains an integral, because the norms at the sample rates do not include the integral.
     """

@@ -34,7 +34,7 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
     """Returns a document about the cost of low sample rates: a summary with a row for each controller, and a table for each one.
 
     Args:
-        costs: cost of each controller.
+        costs: norms of each controller at several sample rates.
         lag: description of the actuator lag; empty if there is no lag.
     """
     kinds = [name for name in KINDS if name != "designed" or any(one.redesigned for one in costs)]
@@ -58,7 +58,7 @@ def about(one: Cost, lag: str, designs: bool) -> str:
     """Explains the columns of the table.
 
     Args:
-        one: cost of a controller.
+        one: norms of a controller at several sample rates.
         lag: description of the actuator lag, which the norms in the design table do not include; empty if there is no lag.
         designs: True if the table has a column of controllers designed for each rate.
     """
@@ -90,7 +90,7 @@ HERTZ = Field[float]("rate", lambda rate: rate, ".4g", unit="Hz")
 
 
 def _cheap(one: Cost) -> AtRate:
-    """Returns the slowest sample rate that counts as cheap, or the fastest rate if none is cheap."""
+    """Returns the slowest sample rate whose increase of the norm counts as cheap, or the fastest rate if none is cheap."""
     cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
     return cheap[-1] if cheap else one.rates[0]
 
@@ -122,7 +122,7 @@ UNSTABLE_RATE = Field[float]("rate", float, ".3g", unit="Hz")
 
 
 def failures(one: Cost) -> list[str]:
-    """Describes the failed checks of the norms."""
+    """Describes the checks of the norms that failed."""
     name = one.controller.name
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
@@ -181,7 +181,7 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
 
     Args:
         vehicle: vehicle of the controllers, for the title.
-        costs: cost of each controller at `drawn_periods`.
+        costs: norms of each controller at `drawn_periods`.
         periods: requested sample periods, which are marked [s].
     """
     title = (

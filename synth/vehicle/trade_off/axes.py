@@ -37,11 +37,11 @@ class FrontAxis:
     """Axis of a trade-off.
 
     Attributes:
-        name: ride, travel, road_holding, force, band or tolerance.
+        name: name of the axis: ride, travel, road_holding, force, band or tolerance.
         norm: norm that is the value of the axis, with its signals and frequency band.
         off: relative error of each measurement. If it is not zero, the value of the axis is the worst norm for errors up to
             this size.
-        meaning: one-line description.
+        meaning: one-line description of the norm on this axis.
         unit: unit of the norm, per m/s of road velocity.
     """
 
@@ -203,8 +203,8 @@ def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: 
     Args:
         vehicle: vehicle of the trade-off.
         axis: axis of the trade-off.
-        entry: controller's section.
-        like: landscape whose coordinates are used.
+        entry: section of the vehicle file that defines the controller.
+        like: landscape whose coordinates are used, so that the same points represent the same gains.
 
     Raises:
         InputError: there are too many combinations of errors.

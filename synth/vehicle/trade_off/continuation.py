@@ -35,7 +35,7 @@ class EvaluatedGain:
     """Gain with its values on all axes.
 
     Attributes:
-        x: point that represents the gain in the coordinates of the landscape.
+        x: coordinates of the gain in the landscape, shape (N,).
         values: norms of the K axes, shape (K,).
         excess: relative violation of the worst bound; see `Evaluation`.
     """
@@ -154,7 +154,7 @@ def rays(ends: Array, count: int) -> Iterator[Array]:
 
     Args:
         ends: norms at the ends, shape (K, K), where K is 2 or 3.
-        count: number of points; for three ends, the nearest number that forms a triangular lattice.
+        count: requested number of points. For three ends, the nearest number that forms a triangular lattice is used.
     """
     if len(ends) == 2:
         for share in np.linspace(0, 1, count):

@@ -42,7 +42,7 @@ class Point:
 
     Attributes:
         controller: controller with its certificate for `[performance]`.
-        norms: values on the axes.
+        norms: value of the controller on each axis, with its proved bound.
         travel: largest suspension deflection over the paper's bump [m]; None if it is not requested, or if the vehicle has no
             suspension.
     """
@@ -53,7 +53,7 @@ class Point:
 
     @property
     def values(self) -> list[float]:
-        """Norms on the axes."""
+        """Norm of the controller on each axis."""
         return [norm.value for norm in self.norms]
 
 
@@ -67,8 +67,8 @@ class Front:
         axes: axes of the trade-off.
         points: designs that no other design dominates, in ascending order of the first axis.
         others: other controllers of the vehicle file, for comparison.
-        missing: names of controllers that are omitted, each with the reason.
-        limits: lower-bound curves for all pairs of axes.
+        missing: names of the other controllers that are omitted, each with the reason.
+        limits: lower-bound curve for each pair of axes.
         design_count: number of designs that were tried.
         unproved: number of designs that are omitted because a claim is not proved.
     """
@@ -90,7 +90,7 @@ class Front:
 
     @property
     def marked(self) -> list[int]:
-        """Indices of the representative points."""
+        """Indices of the points that represent the front in tables and simulations."""
         return marked_indices(len(self.points))
 
 
@@ -190,7 +190,7 @@ def marked_indices(count: int) -> list[int]:
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
-    """Returns the continuation object that searches for the designs."""
+    """Returns the `FrontContinuation` that searches for the designs on the front."""
     problem = goal_problem(vehicle, entry, entry.goals or Goals())
     plant_problem, starts = problem.members[0].plants[0], []
     if entry.law is not None:

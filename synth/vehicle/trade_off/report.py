@@ -31,13 +31,13 @@ Row = tuple[str, Point, Array | None, str]  # name of the controller, point, val
 
 
 def describe(front: Front, measured: Array | None = None, most: int = MARKED_POINTS) -> Document:
-    """Returns the front as a document.
+    """Returns a document that describes a trade-off front.
 
     The document contains the ranges of the front, the comparison with other controllers, some points, and their distance from
     the lower bounds.
 
     Args:
-        front: front to describe.
+        front: trade-off front that the document describes.
         measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
         most: largest number of representative points in the table.
     """
@@ -170,7 +170,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     """Returns the figure of a front, with a panel for each pair of axes.
 
     Args:
-        front: front to draw.
+        front: trade-off front that the figure shows.
         measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None if nothing was simulated.
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
@@ -224,7 +224,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
 def _together(
     others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
 ) -> list[list[str]]:
-    """Returns the names of the controllers that are drawn, grouped by position."""
+    """Returns the names of the controllers that the figure shows; controllers at the same position form a group."""
     size, groups = np.array([high - low for low, high in ranges]), list[list[str]]()
     for (name, place), far in zip(others.items(), beyond, strict=True):
         near = [names for names in groups if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size)]
