@@ -44,7 +44,7 @@ class Observer(Protocol):
 
 
 class StoppedError(Exception):
-    """The runs were stopped before their end."""
+    """Error that is raised if the runs were stopped before their end."""
 
 
 def drive(
@@ -70,7 +70,7 @@ def drive(
         stopped: function that returns True to stop the runs; it is called regularly.
 
     Returns:
-        For each observer, a list with its result for each case.
+        A list for each observer, which contains the result of this observer for each case.
 
     Raises:
         InputError: a Python control law fails.

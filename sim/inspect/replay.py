@@ -115,7 +115,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
 
 
 def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyController) -> tuple[Run, Response]:
-    """Repeats a run: predicts it by linear analysis, and simulates it in MuJoCo.
+    """Repeats a logged run: predicts it by linear analysis, and simulates it in MuJoCo.
 
     For a law in Python, the logged forces are applied.
 
@@ -159,7 +159,7 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
         run: the run in the log.
         name: name of the response, one of `RESPONSES`.
         timestep: timestep of the run [s].
-        states: signals for the states of the controller, see `controller_states`.
+        states: signals that represent the states of the controller, see `controller_states`.
 
     Raises:
         InputError: the log does not contain this response, or its signals are not those of the vehicle.
