@@ -205,7 +205,7 @@ def _parse(text: str, folder: Path) -> Campaign:
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Checks that a list contains no duplicates, even with different spelling, because their runs would count twice.
+    """Checks that a list contains no duplicates, even with different spelling, because duplicate runs would count twice.
 
     Args:
         key: key of the list in the campaign file.

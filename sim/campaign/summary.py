@@ -330,7 +330,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Returns the points (dynamic load, ride) of a controller or, for a sampled law, of each variant, if both numbers exist."""
+    """Returns the points (dynamic load, ride) of a controller, or of each of its variants; only points with both numbers."""
     ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
     return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 

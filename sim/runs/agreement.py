@@ -274,7 +274,7 @@ def first_loose(met: RoadInput, physics: Response) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Returns the largest difference over time relative to the reference's scale; 0 if nothing moves, NaN without reference."""
+    """Returns the largest difference over time, relative to the reference's scale; 0 if nothing moves, NaN if none exists."""
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))

@@ -149,7 +149,7 @@ def describe(
         vehicle: the vehicle.
         lines: frequency responses of the linear controllers.
         sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
-        own: describing functions of nonlinear laws.
+        own: describing functions of the nonlinear laws.
         amplitude: largest height of the roads [m].
         timestep: timestep of the simulation [s].
     """

@@ -22,7 +22,7 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
         vehicle: the vehicle.
         controller: the controller.
         timestep: timestep of the simulation [s].
-        high: frequency up to which poles are repeated [rad/s].
+        high: frequency up to which the repeated poles are returned [rad/s].
 
     Returns:
         Poles [1/s], and the relative rounding error of the slowest pole.

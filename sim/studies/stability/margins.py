@@ -16,11 +16,12 @@ class StabilityMargins:
     """Margins of one controller.
 
     Attributes:
-        vehicle: vehicle of the vehicle file.
+        vehicle: vehicle that the vehicle file describes.
         controller: the controller.
-        loops: margins of the ideal loop by name; "" is the loop cut at all actuators, and a force is the loop cut at this
-            force.
-        implemented_loops: margins of the implemented loop by name; empty if it has neither sample period nor delay.
+        loops: margins of the ideal loop, by name of the cut: "" if the loop is cut at all actuators, or the name of the force
+            at which it is cut.
+        implemented_loops: margins of the implemented loop, by the same names; empty if the loop has neither sample period nor
+            delay.
     """
 
     vehicle: Vehicle

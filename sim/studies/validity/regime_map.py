@@ -47,14 +47,15 @@ class Cells:
         controller: the controller.
         loads: loads on the body over each bump.
         threshold: largest error for which linear analysis counts as valid, relative to the peak.
-        bumps: bumps, one for each cell.
-        used: largest value relative to each limit in `REGIME_ENDS`, computed by analysis, shape (N, E).
+        bumps: bumps of the cells, one for each cell.
+        used: largest values relative to the limits in `REGIME_ENDS`, computed by analysis for each cell, shape (N, E).
         predicted: predicted first limit as an index into `REGIME_ENDS`, shape (N,); -1 if no limit is reached.
         predicted_time: time of this limit [s], shape (N,); infinite if no limit is reached.
         travel: largest suspension deflection, computed by analysis [m], shape (N,).
         driven: results of the MuJoCo runs, by index of the cell.
         boundary: indices of the simulated cells whose prediction differs at a height 1 % lower or higher.
-        ends: bump heights that MuJoCo runs enclose, by index of a cell with the same length and speed.
+        ends: bump height at which the linear regime ends, enclosed by MuJoCo runs, by index of a cell with the same length and
+            speed.
     """
 
     vehicle: Vehicle
