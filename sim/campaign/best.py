@@ -226,10 +226,10 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     command, the metrics and the checksum of the campaign. If writing fails, no incomplete file remains.
 
     Args:
-        path: file to write.
+        path: path of the vehicle file to write.
         campaign: campaign from which the controller was chosen.
         choice: result of the selection, which must contain a candidate.
-        command: command line of the campaign.
+        command: command line with which the campaign was run.
         identity: checksum of the campaign.
 
     Raises:

@@ -272,7 +272,7 @@ def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path
     """Returns the manifest of the campaign. If the campaign begins now, its gains are designed and its manifest is written.
 
     Args:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         folder: folder of the manifest.
         file: path of the campaign file.
         exported: folder with exported code that replaces one of the controllers, or None.

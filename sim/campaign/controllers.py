@@ -30,7 +30,7 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
     """Returns the controllers of a new campaign, by vehicle and name.
 
     Args:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         exported: folder with exported code that replaces one of the controllers, or None.
 
     Raises:
@@ -53,7 +53,7 @@ def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
     This function does not run any law in Python.
 
     Args:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         gains: designed gains that the results folder contains, by vehicle and controller.
 
     Raises:

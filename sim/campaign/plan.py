@@ -102,7 +102,7 @@ class Plan:
     simulated once, not for each seed.
 
     Attributes:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         controllers: controllers by vehicle and name.
         variants: controllers with sampled parameters of the law, one for each variant, by vehicle and controller.
         roughness: international roughness indices [m/km] of recent roads, kept because many runs share a road.

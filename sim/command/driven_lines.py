@@ -91,7 +91,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
     """Returns the printed table of norms and checks, with as many runs as fit, and a line that lists the omitted details.
 
     Args:
-        runs: all runs.
+        runs: all runs that the table may show.
         others: lines that are printed together with the table.
     """
     for count in range(len(runs), 0, -1):

@@ -59,7 +59,7 @@ def drive(
     """Simulates cases in MuJoCo. Cases that can be stepped together form a batch.
 
     Args:
-        cases: the N cases.
+        cases: the N cases to simulate.
         time: equidistant sample times from 0 [s], shape (T,).
         observers: functions that create an observer for a batch, for example the classes in `sim.observers`.
         threads: largest number of threads; each has at least `FEWEST` runs. 0 means one per core. The results do not depend on

@@ -121,9 +121,9 @@ class Scene:
         shapes: solids that are fixed to bodies.
         bodies: motion of every body that carries a solid, by name.
         springs: ends of each spring with its damper, at the wheel and at the body [m], shape (F, 2, 3), by name.
-        tyres: tyres that deform.
+        tyres: tyres, drawn with their deformation.
         forces: control forces [N], shape (F,), by name of the spring; a positive force pushes the ends of the spring apart.
-        tracks: profiles of the road.
+        tracks: profiles of the road, one for each track of the vehicle.
     """
 
     time: Array

@@ -74,7 +74,7 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
     """Returns the section about the runs: signals over time, and a table of peaks (over the bump) or metrics (over another road).
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
         measured: metrics of each of these runs; empty if the road is the bump.
         when: text that describes the time over which the metrics are measured.
@@ -129,7 +129,7 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
     """Returns the section about the difference between MuJoCo and linear analysis, and its order of convergence.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
         finer: agreement of the runs at half the timestep, by controller and signal.
     """

@@ -42,7 +42,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     """Returns the whole report.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         provenance: texts that state how the report was made, such as time and command, by name.
         begin: function that starts requests and returns a function that waits for the results, such as `Processes.begin`.
         progress: callback that receives the name of each study when it begins.

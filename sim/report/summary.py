@@ -34,9 +34,9 @@ def first_screen(
     """Returns the first section of the page: requirements (if present), and the comparison of controllers as table and bars.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        compared: scores of the controllers.
+        compared: scores of the controllers, which the table compares.
         dive: dive angle under braking [deg] by controller; empty if the vehicle cannot pitch.
         where: text that describes the roads over which the controllers are compared, see `compared_on`.
     """
@@ -94,7 +94,7 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
     """Returns the section that compares predictions with MuJoCo, and states up to which bump height linear analysis is valid.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
         ends: bump height at which the linear regime ends, for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. The section states no bump height for them.
@@ -124,8 +124,8 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
     """Returns a text that describes the roads of the comparison: the road of the report, random roads, or the paper's bump.
 
     Args:
-        scope: subject of the report.
-        compared: scores of the controllers.
+        scope: subject of the report, with its vehicle, controllers and runs.
+        compared: scores of the controllers, which the table compares.
         rides: True if the controllers are compared over random roads.
         when: text that describes the time over which metrics are measured on the road of the report.
     """

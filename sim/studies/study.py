@@ -165,7 +165,7 @@ class Study(Generic[R]):
         """Returns the sections of this study in the report: by default the results, which must then be documents.
 
         Args:
-            scope: subject of the report.
+            scope: subject of the report, with its vehicle, controllers and runs.
             results: results of all studies, by the name of the study and the subject of the request.
         """
         return [*results.get(self.name, {}).values()]

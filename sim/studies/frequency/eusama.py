@@ -80,7 +80,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     """Predicts and measures the minimum load of all wheels.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
         timestep: timestep of the simulation [s].
 
@@ -159,8 +159,8 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
     The equivalent deflection of a tyre with damping is the deflection that would cause its whole force.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         wheel: index of the wheel.
         omega: frequencies of the plate [rad/s], shape (F,).
         timestep: timestep of the simulation [s].

@@ -241,7 +241,7 @@ def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
     """Returns the settling time over a periodic road [s], and the discrete poles of the motion that remains after this time.
 
     Args:
-        loop: the loop.
+        loop: loop of the vehicle that drives over the road.
         left: size of the free motion at the end of the settling time, relative to its initial size.
     """
     poles = np.linalg.eigvals(loop.closed_loop.A)
@@ -271,7 +271,7 @@ def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Ar
     samples, a decaying mode and a line differ clearly.
 
     Args:
-        loop: the loop.
+        loop: loop of the vehicle that drives over the road.
         response: end of the run, long enough to separate modes and lines.
         poles: discrete poles of the slow modes per sample period.
         turns: phase advance of each line per sample period [rad], shape (L,).

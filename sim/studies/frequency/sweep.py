@@ -183,7 +183,7 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
 
     Args:
         road: name of the road whose gain is checked.
-        gains: gains by name of the road.
+        gains: measured gain over each road, by name of the road.
         what: name of the reference value in the text.
         value: reference value, which the text states.
         low, high: smallest and largest allowed gain.

@@ -67,7 +67,7 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
     """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if it cannot be measured.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         trade_off: computed front of designs.
         i: index of the design on the front.
         axis: objective on one axis of the front, which defines the norm.

@@ -182,8 +182,8 @@ def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: fl
     """Returns the gain from w to z over a sinusoidal road, including the harmonics due to held forces.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         omega: frequency of the road [rad/s].
         h: timestep [s].
         speed: forward velocity [m/s].

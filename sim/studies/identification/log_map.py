@@ -99,7 +99,7 @@ class LogMap:
     Attributes:
         keys: keys that apply to all logs.
         sensors: section of each signal in the map, by name.
-        known: known combinations of parameters.
+        known: combinations of parameters that are known from elsewhere.
         of_logs: keys that apply to one log only, by file name of this log.
         source: path of the map; empty if there is no map file.
     """

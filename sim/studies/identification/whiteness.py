@@ -20,7 +20,7 @@ class Whiteness:
         bound: limit such that 95 % of the correlations of white residuals are between -bound and bound.
         outside: share of the correlations that are outside this range.
         probability: probability that white residuals have correlations at least this large (Ljung and Box, 1978).
-        samples: number of residuals.
+        samples: number of residuals that were tested.
     """
 
     correlations: Array

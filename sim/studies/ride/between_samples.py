@@ -165,7 +165,7 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     only a few steps apart, the steps until the last wheel has passed them are divided into shorter pieces.
 
     Args:
-        run: the run.
+        run: run whose signals are returned.
         signals: names of the signals.
     """
     if run.vehicle.dampers:
@@ -192,7 +192,7 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     """Returns signals of the continuous response over the first steps of a run.
 
     Args:
-        run: the run.
+        run: run whose signals are returned.
         signals: names of the signals.
         steps: number of timesteps at the start of the run.
         cut: number of pieces per timestep.
@@ -258,7 +258,7 @@ def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...])
     """Returns signals that are known only at samples: held forces are constant, other signals are cubics between jumps.
 
     Args:
-        run: the run.
+        run: run whose signals are returned.
         response: response of the run, for example that of MuJoCo.
         signals: names of the signals.
     """

@@ -91,8 +91,8 @@ def remaining_transient(
     Returns None for an unstable loop, for a nonlinear law, and for a preview controller if the vehicle has rear wheels.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: spectrum of the road; the roughness has no effect.
         timestep: timestep of the sampled loop [s].
         start: time at which the measurement begins [s]. This time and the delays of rear wheels are rounded to whole samples of
@@ -215,8 +215,8 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no linear equivalent is found.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
         window: duration of the measurement over which metrics are computed [s].

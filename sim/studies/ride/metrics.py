@@ -55,8 +55,8 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
     The result is empty if the loop is unstable or the law is nonlinear.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: road with the loads.
         time: time at which the constant loads are taken from the road [s].
     """

@@ -159,8 +159,8 @@ class OverRoads:
         """Simulates the controller over the random roads of the classes.
 
         Args:
-            vehicle: the vehicle.
-            controller: the controller.
+            vehicle: vehicle that the controller controls.
+            controller: controller of this vehicle.
             timestep: timestep of the simulation [s].
             classes: road classes, such as "AC"; None for all classes.
         """

@@ -80,7 +80,7 @@ class MetricComparison:
         expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
             linear and stable, or the metric has no known expected value.
         spread: standard deviation of the expected value from road to road; None if it is unknown.
-        approximate: True if the expected value is approximate.
+        approximate: True if the formula for the expected value is an approximation.
     """
 
     unit: str

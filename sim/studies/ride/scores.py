@@ -104,7 +104,7 @@ def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
     """Returns the score of a controller from the metrics of its run.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controller controls.
         controller: name of the controller.
         metrics: values by name of the metric; empty for an aborted run, whose score contains only None.
     """
@@ -119,7 +119,7 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
     """Returns the score of a controller over R runs, see `over_runs`. A value is None if a run does not have this metric.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controller controls.
         controller: name of the controller.
         metrics: values of all runs by name of the metric, shape (R,) each.
         distances: measured distance of each run [m], shape (R,); None if all are equal.

@@ -274,8 +274,8 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     """Returns the linear equivalent of a vehicle; None if its loop is unstable or the iteration does not converge.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
     """

@@ -218,7 +218,7 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
     `-v` adds a table of all signals for each run.
 
     Args:
-        runs: the runs.
+        runs: runs over the step.
         measured: step metrics of each run, by name of the signal.
         percent: half width of the band [%].
     """

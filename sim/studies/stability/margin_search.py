@@ -106,7 +106,7 @@ class GainMargin:
         """Returns the extrapolation of a margin to a timestep of 0; infinite if the margin grows without limit.
 
         Args:
-            coarse: margin at a timestep.
+            coarse: margin at the longer timestep.
             fine: margin at half this timestep.
         """
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
@@ -117,7 +117,7 @@ class GainMargin:
 
         Args:
             own: margin of the continuous loop.
-            coarse: margin at a timestep.
+            coarse: margin at the longer timestep.
             fine: margin at half this timestep.
         """
         within = max(abs(fine - coarse) / 2, AGREES * own)
@@ -227,7 +227,7 @@ def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> 
     """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same limit as MuJoCo.
 
     Args:
-        edge: finished search.
+        edge: finished search for a stability limit.
         grows: function that returns True if the linear loop is unstable with an amount.
     """
     if grows is None or not edge.unstable > edge.expected:

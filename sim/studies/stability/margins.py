@@ -52,7 +52,7 @@ def stability_margins(
     """Computes the margins of controllers for the vehicle in equilibrium, and searches for the same margins in MuJoCo.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
         timestep: timestep of the simulation [s].
         progress: callback that receives the name of the stage, or a line about its progress.

@@ -99,7 +99,7 @@ class MeasuredComparison:
     """Comparison of a measured log with runs.
 
     Attributes:
-        log: the log.
+        log: measured log that is compared with the runs.
         start: time of the log at which the runs start [s].
         correlation: correlation coefficient for this start, averaged over all signals, for the run with the largest average.
         given: True if the user gave the start.
@@ -183,7 +183,7 @@ def compare_log(
     """Aligns a measured log with runs of the same duration, and compares them.
 
     Args:
-        log: the log.
+        log: measured log that is compared with the runs.
         runs: runs over the same road.
         start: time of the log at the start of the runs [s]; None to find the start with the largest correlation.
         remove_offsets: True to remove from each signal its mean difference from the run with the largest correlation.
@@ -222,7 +222,7 @@ def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Seque
     """Returns measured signals over the time of a run, at the sample times of log or run, whichever are further apart.
 
     Args:
-        log: the log.
+        log: measured log that is compared with the runs.
         run: simulated response of the run.
         start: time of the log at the start of the run [s].
         signals: names of the signals to return.

@@ -77,7 +77,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     """Returns the end of the linear regime for each controller; None if no limit is reached at any allowed height.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
         bump: bump with the length and speed to study; the response over it predicts the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
@@ -106,8 +106,8 @@ def enclose_ends(
     """Finds the bump heights at which the linear regime ends for N lengths and speeds, and encloses each by two MuJoCo runs.
 
     Args:
-        vehicle: the vehicle.
-        controllers: N controllers.
+        vehicle: vehicle that the controllers control.
+        controllers: N controllers, one for each bump.
         bumps: N bumps with the lengths and speeds to study; the responses over them predict the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.

@@ -144,7 +144,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
     """Returns the document about the maps of several controllers over the same bumps, with figures.
 
     Args:
-        maps: maps of the controllers.
+        maps: maps of validity, one for each controller.
         timestep: timestep of the simulation [s].
         without: text that excludes noise and quantisation, such as ", without its noise"; empty if the runs omit nothing.
     """

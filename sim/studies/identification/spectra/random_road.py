@@ -53,9 +53,9 @@ class Periodograms:
 
     Attributes:
         experiment: experiment that was measured.
-        frequencies: frequencies that are used [Hz], shape (K,).
+        frequencies: frequencies at which the periodograms are used [Hz], shape (K,).
         measured: mean of the periodograms, shape (K, q, q); complex, one-sided.
-        segments: number of segments.
+        segments: number of segments into which the log is divided.
         inflation: factor by which the taper reduces the information.
         kernel: spectrum of the taper at offsets of half a bin, shape (2 REACH + 1,); the sum is 1.
         first: index of the first frequency; the spacing of the indices is one bin.
