@@ -43,7 +43,7 @@ def sweep_figure(
     """Returns the figure of magnitudes over frequency, with a panel for each weighted signal that responds to the road.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose responses are drawn.
         sweeps: frequency responses of linear controllers.
         timestep: timestep of the simulation [s].
         speed: forward velocity of the vehicle [m/s].

@@ -48,7 +48,7 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
     """Returns the gain ||z|| / ||w|| over a sinusoidal road, after transients have decayed.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle of the run, with the weights of z.
         response: response over an integer number of periods of the road.
         omega: frequency of the road [rad/s].
     """

@@ -146,7 +146,7 @@ def describe(
     """Returns the document about frequency responses and gains.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose responses are described.
         lines: frequency responses of the linear controllers.
         sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
         own: describing functions of the nonlinear laws.

@@ -97,7 +97,7 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
 
     Args:
         vehicle: vehicle with the outputs of the norm.
-        controller: the controller.
+        controller: controller that closes the loop.
         norm: value of the H-infinity norm.
         at: frequency at which the loop reaches the norm [rad/s]; may be 0.
     """

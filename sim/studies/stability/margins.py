@@ -17,10 +17,10 @@ class StabilityMargins:
 
     Attributes:
         vehicle: vehicle that the vehicle file describes.
-        controller: the controller.
-        loops: margins of the ideal loop, by name of the cut: "" if the loop is cut at all actuators, or the name of the force
-            at which it is cut.
-        implemented_loops: margins of the implemented loop, by the same names; empty if the loop has neither sample period nor
+        controller: controller that closes the loop.
+        loops: margins of the ideal loop, by the force at which the loop is cut; the key "" is the loop that is cut at all
+            actuators.
+        implemented_loops: margins of the implemented loop, by the same keys; empty if the loop has neither sample period nor
             delay.
     """
 

@@ -101,7 +101,7 @@ def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], 
     """Simulates runs in MuJoCo.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that is simulated.
         runs: controller, road and requested number of samples of each run. A run may be longer than requested, because all runs
             of a batch have the same length.
         time: sample times of the longest run [s], shape (T,).

@@ -188,7 +188,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     """Returns the document about the bump height up to which linear analysis is valid.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that drives over the bump.
         ends: end of the linear regime for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
         where: name of the road over which the runs of these controllers disagree.
