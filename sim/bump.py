@@ -62,7 +62,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 
 def words(road: "Bump") -> str:
-    """Returns a description of a bump."""
+    """Returns a text that describes a bump."""
     wheels = "" if road.track == "both" else f", {road.track} wheels only"
     return f"a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s{wheels}"
 

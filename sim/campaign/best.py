@@ -1,6 +1,6 @@
 """Selects the best controller of a campaign by one metric, within limits on other metrics, and writes it to a vehicle file.
 
-All controllers of the campaign are candidates. If the law of a controller is sampled, each of its variants is a candidate. All
+All controllers of the campaign are candidates. If parameters of a control law are sampled, each variant is a candidate. All
 candidates drive over the same roads.
 """
 
@@ -41,7 +41,7 @@ class Request:
     """The metric of `--best` and the limits of `--subject-to`.
 
     Attributes:
-        metric: metric that is minimised.
+        metric: name of the metric that is minimised.
         limits: upper limits of other metrics by name, in SI units.
         units: units of the limits; empty for a limit without a unit.
     """
@@ -62,11 +62,11 @@ class Choice:
 
     Attributes:
         vehicle: name of the vehicle in the campaign.
-        request: request of the user.
+        request: metric and limits that the user requested.
         candidate: selected candidate; None if no candidate has values for all requested metrics.
-        values: sampled values in the law of the selected candidate, by key; empty if this law is not sampled.
+        values: sampled parameters in the law of the selected candidate, by key; empty if none are sampled.
         numbers: values of the requested metrics for the selected candidate, in SI units.
-        within: number of candidates within the limits; if it is 0, `candidate` is the one nearest to the limits.
+        within: number of candidates within the limits; if this number is 0, `candidate` is the one nearest to the limits.
         count: number of candidates.
     """
 
@@ -226,10 +226,10 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     command, the metrics and the checksum of the campaign. If writing fails, no incomplete file remains.
 
     Args:
-        path: file to write.
+        path: path of the vehicle file to write.
         campaign: campaign from which the controller was chosen.
         choice: result of the selection, which must contain a candidate.
-        command: command line of the campaign.
+        command: command line with which the campaign was run.
         identity: checksum of the campaign.
 
     Raises:

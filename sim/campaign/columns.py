@@ -29,8 +29,8 @@ def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
     """Returns all columns of the results in order, each with its unit and definition.
 
     Args:
-        campaign: campaign of the results.
-        metadata: metadata of the whole file.
+        campaign: campaign to which the results belong.
+        metadata: entries for the metadata of the whole Parquet file, by key.
     """
     metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle, campaign.loaded)}
     rough = dict.fromkeys(name for vehicle in campaign.vehicles.values() for name in roughness_names(vehicle))

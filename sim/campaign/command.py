@@ -241,7 +241,7 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """Returns the number of runs, the findings of `verify`, and a remark if the campaign file was changed or deleted."""
+    """Returns the number of runs, the findings of `verify`, and a remark if the campaign file has been changed or deleted."""
     manifest = read_manifest(folder, FINISHED_ADVICE) if folder.is_dir() else None
     if manifest is None:
         raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED_ADVICE}")
@@ -272,10 +272,10 @@ def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path
     """Returns the manifest of the campaign. If the campaign begins now, its gains are designed and its manifest is written.
 
     Args:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         folder: folder of the manifest.
-        file: campaign file.
-        exported: folder of exported code for a controller, or None.
+        file: path of the campaign file.
+        exported: folder with exported code that replaces one of the controllers, or None.
         shared: True for the folder that all parts of the campaign share, in which another process may write at the same time.
     """
     count = Plan(campaign, {}).count

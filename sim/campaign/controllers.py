@@ -30,7 +30,7 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
     """Returns the controllers of a new campaign, by vehicle and name.
 
     Args:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         exported: folder with exported code that replaces one of the controllers, or None.
 
     Raises:
@@ -48,13 +48,13 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
 
 
 def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
-    """Returns the plan of the runs, with the controllers designed at the beginning of the campaign, and with the sampled laws.
+    """Returns the plan of the runs, with the controllers designed at the beginning of the campaign, and with their variants.
 
     This function does not run any law in Python.
 
     Args:
-        campaign: the campaign.
-        gains: gains in the results folder.
+        campaign: campaign to which the runs belong.
+        gains: designed gains that the results folder contains, by vehicle and controller.
 
     Raises:
         InputError: the file of a law cannot be read, or has changed since the campaign began.

@@ -97,8 +97,9 @@ class Campaign:
             measured from the start.
         timestep: timestep of the simulation [s].
         samples: samples of each vehicle's parameters, with values [SI] by name; a single empty sample if nothing is sampled.
-        variants: variants of each sampled law, by vehicle and controller; each variant maps keys of the law to values.
-        sample_seed: seed of samples and variants.
+        variants: variants of each law with sampled parameters, by vehicle and controller; a variant maps keys of the law to
+            values.
+        sample_seed: seed of the random numbers from which samples and variants are drawn.
         text: text of the campaign file.
         earlier: True to repeat a campaign of an earlier version, see `RoadInput.earlier`.
     """
@@ -124,7 +125,7 @@ class Campaign:
 
     @property
     def loaded(self) -> bool:
-        """True if any road has loads. If a road has loads, the angles of all bodies are measured."""
+        """True if loads act on the body over at least one road. The angles of the body are then measured in all runs."""
         return any(road.loads for road in self.roads)
 
     @property
@@ -157,7 +158,7 @@ def parse_campaign(text: str, path: Path) -> Campaign:
 
     Args:
         text: text of the campaign file.
-        path: path of this file. Relative paths of other files are relative to its folder.
+        path: path of the campaign file. Relative paths in this file are relative to its folder.
     """
     with error_in(f"campaign file {path}:"):
         return _parse(text, path.parent)
@@ -204,7 +205,7 @@ def _parse(text: str, folder: Path) -> Campaign:
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Checks that a list contains no duplicates, even with different spelling, because their runs would count twice.
+    """Checks that a list contains no duplicates, even with different spelling, because duplicate runs would count twice.
 
     Args:
         key: key of the list in the campaign file.

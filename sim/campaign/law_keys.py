@@ -1,7 +1,7 @@
 """Keys of a control law that a campaign can sample: parameters of a semi-active law, entries of a gain or of a law's matrices.
 
-Sampled keys are read like a section of a vehicle file, and have the same limits. A sampled law can therefore be written to a
-vehicle file.
+Sampled values are read like a section of a vehicle file, and have the same limits. A law with sampled values can therefore be
+written to a vehicle file.
 """
 
 import unicodedata
@@ -31,7 +31,7 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
 def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> dict[str, Any]:
     """Returns a controller's section of the vehicle file, with sampled values, to be written as TOML.
 
-    Goals and certificate are omitted, because they belong to the original law.
+    Goals and certificate are omitted, because they belong to the law without sampled values.
     """
     entry = vehicle.controllers[controller]
     return entry.source.with_values(entry.measured, values) | entry.hardware.record

@@ -36,8 +36,8 @@ class Manifest:
         digest: checksum of all inputs of the results, see `Campaign.digest`.
         versions: versions of the packages that affect the results, by name.
         campaign: text of the campaign file.
-        controllers: gains by vehicle and controller.
-        runs: number of runs.
+        controllers: gains of the designed controllers, by vehicle and controller.
+        runs: number of runs in the campaign.
         earlier: True for a campaign of an earlier version, see `RoadInput.earlier`.
         part: part of the campaign that this folder contains, such as 3/40; empty for a whole campaign.
     """
@@ -82,10 +82,10 @@ class Manifest:
         """Checks that the plan in a folder belongs to this campaign and to the installed versions.
 
         Args:
-            folder: results folder, for the message.
+            folder: results folder, which the error message names.
             digest: checksum of the campaign, see `Campaign.digest`.
             versions: installed versions of packages, by name.
-            instead: advice at the end of the message.
+            instead: advice to the user at the end of the error message.
 
         Raises:
             InputError: the checksum or a version differs.
@@ -105,7 +105,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
 
     Args:
         folder: results folder.
-        instead: advice at the end of the message, if the folder contains no readable campaign.
+        instead: advice to the user at the end of the error message, if the folder contains no readable campaign.
 
     Raises:
         InputError: the folder contains other files, an unfinished campaign of Roadproof 0.1, or a plan that cannot be read.

@@ -105,7 +105,7 @@ def begin(folder: Path, part: CampaignPart, plan: Manifest) -> None:
 
 
 def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, versions: Mapping[str, str]) -> None:
-    """Checks that the folder of a part belongs to this campaign, with the campaign's gains and package versions.
+    """Checks that the folder of a part belongs to this campaign, and has the same gains and package versions.
 
     Raises:
         InputError: the folder contains another part, or belongs to another campaign, other gains or other package versions.

@@ -35,11 +35,11 @@ Runs = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A controller of a vehicle, or a variant of a controller with a sampled law.
+    """A controller of a vehicle, or a variant of a controller whose law has sampled parameters.
 
     Attributes:
         controller: name of the controller.
-        variant: number of the variant; None if the law is not sampled.
+        variant: number of the variant; None if no parameters of the law are sampled.
     """
 
     controller: str
@@ -61,7 +61,7 @@ class RunBlock:
         start: number of the first run.
         vehicle, controller: names in the campaign file.
         road, speed: road, and speed [m/s].
-        variants: sampled values of the law by key, one mapping for each variant; None if the law is not sampled.
+        variants: sampled parameters of the law by key, one mapping for each variant; None if none are sampled.
         samples: sampled parameters of the vehicle by name [SI], one mapping for each sample; a single empty sample if none are
             sampled.
         seeds: seeds of the road; only the first seed if the road is not random.
@@ -102,10 +102,10 @@ class Plan:
     simulated once, not for each seed.
 
     Attributes:
-        campaign: the campaign.
+        campaign: campaign to which the runs belong.
         controllers: controllers by vehicle and name.
-        variants: sampled laws by vehicle and controller, one for each variant.
-        roughness: IRIs [m/km] of recent roads, kept because many runs share a road.
+        variants: controllers with sampled parameters of the law, one for each variant, by vehicle and controller.
+        roughness: international roughness indices [m/km] of recent roads, kept because many runs share a road.
     """
 
     campaign: Campaign
@@ -154,7 +154,7 @@ class Plan:
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
         """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
 
-        If a law is sampled, its variants are candidates instead of the controller itself.
+        If the campaign samples parameters of a law, the resulting variants are candidates instead of the controller itself.
         """
         runs: dict[Candidate, list[Array]] = {}
         for block in (one for one in self.blocks if one.vehicle == vehicle):
@@ -189,7 +189,7 @@ class Plan:
 
         Args:
             gaps: intervals (start, stop) of missing runs, ascending.
-            most: function that returns the largest size of the next batch; called before each batch.
+            most: function that returns the largest allowed size of the next batch; called before each batch.
         """
         ends = {block.vehicle: block.stop for block in self.blocks}
         for start, stop in gaps:
@@ -234,7 +234,7 @@ class PlannedRun:
 
     Attributes:
         inputs: columns of the results that describe the inputs of the run.
-        vehicle: vehicle with the sampled values.
+        vehicle: vehicle with the sampled parameters of this run.
         controller: controller of the run.
         choice, road: the road as requested in the campaign file, and the resulting road for this vehicle, speed and seed.
     """
@@ -272,7 +272,7 @@ class Progress:
 
         Args:
             runs: number of finished runs.
-            took: simulation time of these runs on one worker [s].
+            took: time that one worker needed to simulate these runs [s].
         """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs

@@ -64,10 +64,10 @@ class Sampler:
         """Returns `count` samples of the parameters in a table, each with values by name.
 
         Args:
-            where: section of the table and name of the vehicle, for messages.
+            where: section of the table and name of the vehicle, which error messages contain.
             table: distributions by name.
-            own: value in the vehicle file of each parameter that can be sampled; None for a parameter without a value. Relative
-                distributions are multiples of these values.
+            own: value of each parameter that can be sampled, from the vehicle file; None for a parameter without a value.
+                Relative distributions are multiples of these values.
             check: function that raises InputError if a value is not allowed.
             units: units of the parameters that have a unit, by name.
 
@@ -93,7 +93,7 @@ class Sampler:
         return tuple(dict(zip(scales, row, strict=True)) for row in rows)
 
     def _unit_samples(self, dimensions: int) -> Array:
-        """Returns points in the unit cube, shape (count, dimensions)."""
+        """Returns the points at which the quantile functions are evaluated, in the unit cube, shape (count, dimensions)."""
         from scipy.stats import qmc  # imported here because the import takes half a second
 
         engine = qmc.Sobol if self.method == "sobol" else qmc.LatinHypercube
@@ -113,8 +113,8 @@ def read_samples(
         controllers: names of the controllers of the campaign.
 
     Returns:
-        Samples by vehicle (a single empty sample if no parameter is sampled), variants by vehicle and controller (only for
-        sampled laws), and the seed.
+        Samples by vehicle (a single empty sample if no parameter is sampled), variants by vehicle and controller (only for laws
+        with sampled parameters), and the seed.
     """
     of_vehicles: dict[str, tuple[Values, ...]] = {name: ({},) for name in vehicles}
     of_laws: dict[str, dict[str, tuple[Values, ...]]] = {name: {} for name in vehicles}
@@ -168,7 +168,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
 
 
 def _variants(controller: str, table: Any, name: str, vehicle: Vehicle, sampler: Sampler) -> tuple[Values, ...]:
-    """Returns the variants of a control law: sampled values by key."""
+    """Returns the variants of a control law: for each variant, the sampled values by key."""
     where = f"[samples.controllers.{controller}]"
     if not isinstance(table, dict) or not table:
         raise InputError(f"{where} samples nothing; give a key of the law, as in sky_damping = {{ uniform = [500.0, 4000.0] }}")
@@ -182,8 +182,8 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     """Reads a distribution.
 
     Returns:
-        Whether the distribution is relative to the value in the vehicle file; its smallest and largest values; and its quantile
-        function.
+        True if the distribution is relative to the value in the vehicle file, the smallest and the largest value of the
+        distribution, and the quantile function.
     """
     give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}; relative = true may be added"
     relative = entry.get("relative", False) if isinstance(entry, dict) else None

@@ -29,9 +29,9 @@ class Store:
     Only one process at a time may use the folder of a campaign. Several processes may use the folder of a part.
 
     Attributes:
-        folder: folder of the results.
-        schema: columns of the results.
-        share: numbers of the runs that the finished results contain, as ascending intervals (start, stop).
+        folder: path of the results folder.
+        schema: columns of the results, with type, unit and definition.
+        share: numbers of the runs that the finished results must contain, as ascending intervals (start, stop).
         parts: complete files of batches, by the number of the first run; each entry contains the number after the last run, and
             the path.
         damaged: a sentence for each incomplete file, whose runs are simulated again.

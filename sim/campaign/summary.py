@@ -68,7 +68,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
     Args:
         campaign: the campaign. Runs over random roads are measured after the `settle` time of the campaign.
         scores: scores over all runs, see `compare`.
-        chosen: candidate of each vehicle that the vehicle's table always contains; None if there is no such candidate.
+        chosen: candidate that the table of each vehicle always contains, by vehicle; None if there is no such candidate.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
     begins = f", random roads measured from {campaign.settle:g} s on (settle)" if settles else ""
@@ -100,7 +100,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
     A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run was aborted.
     Aborted runs have no metrics, and are left out of the results and of the predictions. Runs whose law failed have no metrics
-    either. For a sampled law, the entry also contains the root mean squares of each variant.
+    either. For a law with sampled parameters, the entry also contains the root mean squares of each variant.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
     metrics = list(dict.fromkeys(one.name for kinds in lines.values() for some in kinds.values() for one in some))
@@ -146,7 +146,7 @@ def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: A
     Args:
         columns: columns of the results by name, shape (count,) each.
         metrics: metrics to compare.
-        some: numbers of the runs, shape (n,).
+        some: numbers of the runs to evaluate, shape (n,).
         distances: measured distance of every run [m], shape (count,).
     """
     there = some[np.all([np.isfinite(columns[one.name][some]) for one in metrics], axis=0)] if metrics else some[:0]
@@ -193,7 +193,7 @@ def describe(entries: Sequence[Mapping[str, Any]]) -> Document:
     The details, one table for each road and speed, are printed only with `-v`.
 
     Args:
-        entries: entries of `summarise`.
+        entries: results of the campaign, as `summarise` returns them.
     """
     vehicles = [(vehicle, [*some]) for vehicle, some in itertools.groupby(entries, lambda entry: entry["vehicle"])]
     blocks: list[Block] = [] if len(vehicles) > 1 else _ride_table(entries)
@@ -330,7 +330,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Returns the points (dynamic load, ride) of a controller or, for a sampled law, of each variant, if both numbers exist."""
+    """Returns the points (dynamic load, ride) of a controller, or of each of its variants; only points with both numbers."""
     ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
     return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 
@@ -346,14 +346,14 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 
 
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
-    """Returns the expected dynamic load and ride of a vehicle at a speed.
+    """Returns points with the expected dynamic load and ride of a vehicle at a given speed.
 
     Both results are empty if the road is not random, or if the vehicle has sampled parameters or no semi-active dampers.
 
     Args:
         plan: runs of the campaign.
         name: name of the vehicle.
-        road: text of the road.
+        road: road in the syntax of `--road`.
         speed: speed of the vehicle [m/s].
 
     Returns:

@@ -23,12 +23,12 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
     """Checks a finished campaign.
 
     Args:
-        plan: runs with the gains of the results folder.
+        plan: runs of the campaign, with the gains that the results folder contains.
         store: results of the campaign.
-        gains: gains of the results folder.
+        gains: gains that the results folder contains, by vehicle and controller.
         count: number of runs to repeat.
         seed: seed of the random choice of these runs.
-        progress: function that receives the number of repeated runs.
+        progress: function that receives the number of runs repeated so far.
 
     Returns:
         `rows`, the number of rows; `again`, the numbers of the repeated runs; `faults`, a sentence for each difference.
@@ -76,8 +76,8 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
 
     Args:
         run: name of the run in the sentence.
-        there: row of the results.
-        now: expected values.
+        there: row of the results that is checked.
+        now: expected values of this row, by column.
         where: words in the sentence that state the origin of the expected values.
     """
     wrong = [name for name, value in there.items() if not _same(value, now.get(name))]

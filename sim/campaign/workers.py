@@ -125,7 +125,7 @@ def run_batches(
         plan: runs of the campaign.
         batches: intervals (start, stop) of run numbers.
         workers: number of threads on this machine.
-        use_ray: True to run on the connected Ray cluster instead.
+        use_ray: True to run on the connected Ray cluster instead of threads on this machine.
         write: function that receives the number of the first run, the rows, and the time that the batch took [s].
     """
     with closing(on_ray(plan, batches) if use_ray else local(plan, batches, workers)) as results:

@@ -30,7 +30,7 @@ def controllers_of(
     If a controller cannot be designed, this function omits it and prints a warning.
 
     Args:
-        vehicle: vehicle of the controllers.
+        vehicle: vehicle to which the controllers belong.
         names: names of the controllers.
         design: function that designs a linear controller, see `runnable`.
         exported: folder with exported code that replaces one of the controllers, or None.
@@ -123,7 +123,7 @@ def record_command_runs(
         controllers: names of the simulated controllers.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
         result: function that returns the result of the command, as for `--json`; called only if logs are written.
-        measured: measured signals over the time of the runs, if any.
+        measured: signals of a measured log over the time of the runs; None without a log.
 
     Returns:
         Paths of the recorded files by type. All paths are None with `--no-logs`.
@@ -145,7 +145,7 @@ def write_histories(
         options: options from the command's parser.
         runs: runs to draw and to write.
         where: description of the road, which follows the word "over" in the title of the picture.
-        measured: measured signals over the time of the runs, which the picture also shows.
+        measured: signals of a measured log over the time of the runs, which the picture also shows; None without a log.
     """
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
@@ -163,8 +163,8 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
     """Returns the printed lines that list the recorded files and explain how to open them; empty if nothing was recorded.
 
     Args:
-        logs: recorded files by type, one mapping for each vehicle. For several vehicles, the result is a single line with the
-            folder.
+        logs: paths of the recorded files by type, one mapping for each vehicle. For several vehicles, the function returns a
+            single line with the folder.
         brief: True to return no lines.
         heading: True to print an empty line and a heading above the paths.
     """

@@ -22,13 +22,13 @@ class VehicleRuns:
     """The runs of one vehicle file.
 
     Attributes:
-        vehicle: vehicle of the file.
+        vehicle: vehicle that the file describes.
         title: title of the vehicle in printed results; empty if there is only one vehicle.
         names: requested controllers.
         runs: runs of the whole vehicle, then the runs in which a part of the vehicle is omitted (`--without`).
-        without: the part of the vehicle that is omitted in each run, such as noise; empty if no part is omitted.
+        without: part of the vehicle that each run omits, such as noise; an empty text for a run of the whole vehicle.
         passive: MuJoCo's response of the passive vehicle.
-        metrics: ride metrics of each run; empty if none are measured.
+        metrics: ride metrics of each run; empty if the ride is not measured.
         fits: comparison of each run with a measured log; empty without a log.
     """
 

@@ -39,10 +39,10 @@ def driven_lines(
         options: options from the command's parser.
         driven: runs of each vehicle.
         where: text that describes the road.
-        scores: rows of the table of controllers.
-        about: description of the time over which the ride is measured.
+        scores: scores of the controllers, one for each row of the table of controllers.
+        about: text that describes the time over which the ride is measured.
         response: document about the step response; empty if the road is not a step.
-        below: lines between the table and the verdicts, such as paths of files.
+        below: lines to print between the table and the verdicts, such as paths of files.
     """
     shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
     road, verbose = shown[0].road, options.verbose
@@ -91,7 +91,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
     """Returns the printed table of norms and checks, with as many runs as fit, and a line that lists the omitted details.
 
     Args:
-        runs: all runs.
+        runs: all runs that the table may show.
         others: lines that are printed together with the table.
     """
     for count in range(len(runs), 0, -1):
@@ -105,7 +105,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
 
 
 def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]:
-    """Returns the printed lines about how runs start, if their ride is measured."""
+    """Returns the printed lines that describe how the runs start; empty if the ride is not measured."""
     lines = list[str]()
     for each in driven:
         if each.metrics:

@@ -73,8 +73,8 @@ def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: 
 
     Args:
         vehicle: vehicle of the controllers.
-        given: values of `--controller`.
-        names: names of the controllers that the command uses.
+        given: names that the user gave with `--controller`.
+        names: names of the controllers that the command simulates.
     """
     return [] if given else [name for name in vehicle.controller_names if name not in names]
 
@@ -83,7 +83,7 @@ def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
     """Returns a line that lists the omitted controllers and explains how to include them; empty if none is omitted.
 
     Args:
-        one: True if the command accepts only one controller.
+        one: True if the command accepts only one controller, so that the line explains how to choose another one.
     """
     if one and names:
         return [f"other controllers: {', '.join(names)}; choose one with --controller NAME"]
@@ -95,7 +95,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
 
     Args:
         parser: parser of the command.
-        duration: default of `--duration` [s].
+        duration: default value of `--duration` [s].
     """
     parser.add_exported()
     parser.add_number("--duration", duration, "s", "duration of the run")
@@ -218,7 +218,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     """Returns the lines to print if a road from a file is shorter or longer than the run; empty if the lengths are equal.
 
     Args:
-        road: road of the run.
+        road: road over which the vehicle drives.
         duration: duration of the run [s].
     """
 

@@ -42,10 +42,10 @@ class Actuators:
 
     Attributes:
         forces: number m of forces per run.
-        size: number of commands per run.
-        closing: map from (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows of active
-            actuators, and of the travels and states of voltage-controlled elements, are 0. The shape is (0, nq + nv) without
-            semi-active dampers.
+        size: number of commands per run: m, or 2 m with semi-active dampers.
+        closing: matrix that maps (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows of
+            active actuators, and of the travels and states of voltage-controlled elements, are 0. The shape is (0, nq + nv)
+            without semi-active dampers.
         at_rest: small offsets that keep the closing velocities different from 0, shape (m + c,) or (0,).
         lags: True if a coefficient lags behind its command.
         over_travel: True if the motion ratios of semi-active dampers change with travel, or if there are voltage-controlled
@@ -86,11 +86,11 @@ class Actuators:
             closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
 
     def of_elements(self, deflections: Array, own: Array) -> Array:
-        """Returns the travels and states of the voltage-controlled elements, shape (N, c).
+        """Returns the travels [m] and internal states of the voltage-controlled elements, shape (N, c).
 
         Args:
             deflections: deflections of all suspensions [m], shape (N, s).
-            own: states of the vehicle's parts, shape (N, k).
+            own: internal states of the vehicle's parts, shape (N, k).
         """
         assert self._of is not None, "a vehicle with adjustable dampers"
         return np.concatenate([np.zeros((len(own), 0)), *self._of.of_elements(deflections, own)], axis=-1)
@@ -99,10 +99,10 @@ class Actuators:
         """Returns the commands for the runs with the given indices, shape (d, size).
 
         Args:
-            requested: requests of the runs' driver, see `sim.drive.driver.Driver`.
+            requested: forces, coefficients or commands that the driver requests, see `sim.drive.driver.Driver`.
             requests: meaning of the requests: "forces", "coefficients" or "commands".
-            closing: closing velocities [m/s], shape (d, m) or (d, 0).
-            which: indices of the runs.
+            closing: closing velocities of the suspensions [m/s], shape (d, m), or (d, 0) without semi-active dampers.
+            which: indices of these d runs in the batch.
         """
         if self._of is None or requests == "commands":
             return requested
@@ -121,8 +121,8 @@ class Actuators:
 
         Args:
             values: signals of the samples, shape (B, S, N), changed in place.
-            commands: commands at the samples, shape (B, N, size).
-            activations: MuJoCo's activations, shape (B, N, na), or (0, N, na) if no coefficient lags.
+            commands: commands that act from each sample on, shape (B, N, size).
+            activations: states of MuJoCo's actuators (activations), shape (B, N, na), or (0, N, na) if no coefficient lags.
         """
         if self._of is None:
             return

@@ -20,7 +20,7 @@ class State:
     Attributes:
         motion: positions and velocities of MuJoCo, states of the vehicle's parts, and activations, shape (nq + nv + k + na,).
         acting_forces: forces that already act before the first sample [N], shape (m,).
-        law, undelayed_forces: states of the controller, and of the second controller, both in discrete form.
+        law, undelayed_forces: states of the controller, and of the second controller without delay, both in discrete form.
         pending_forces: delayed forces that act at the first sample or later, in this order [N], shape (d, m).
     """
 
@@ -36,14 +36,14 @@ class Case:
     """A single run: vehicle, controller and road.
 
     Attributes:
-        vehicle: the vehicle, with its limits and the implementation of its controller.
+        vehicle: vehicle of the run, with its force limits and the implementation of its controller.
         driver: controller of the run, or recorded commands that replace it.
-        road: the road, with the loads on the body if there are any.
+        road: road of the run, with the loads on the body if there are any.
         start: state at the start of the run. If None, the run starts in equilibrium or, on a measured road, in steady motion.
         undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first
             controller; None if there is no second controller.
-        earlier: argument of the same name of `RoadInput`.
-        input: the road at the sample times, if it was computed before; otherwise None.
+        earlier: True to repeat a run of an earlier version, see `RoadInput.earlier`.
+        input: road heights at the sample times, if they have been computed before; otherwise None.
     """
 
     vehicle: Vehicle
@@ -73,13 +73,13 @@ class Batch:
         inputs: road input of each case.
         now: road heights at the samples [m], shape (T, N, r).
         midway: road heights at which MuJoCo holds the road during each step [m], shape (T, N, r).
-        beyond: road heights at those E samples after the end of the run that controllers preview [m], shape (E, N, r).
+        beyond: road heights at the E samples after the end of the run, which controllers need for preview [m], shape (E, N, r).
         velocities: rates of change of the road heights at the samples [m/s], shape (T, N, r); None if not needed.
         held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
             r); None if there are none.
         effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None if
             there are no loads.
-        sides: road heights on the other side of vertical edges [m], shape (N, r), by index of the sample.
+        sides: road heights on the other side of vertical edges of the road [m], shape (N, r) each, by index of the sample.
         failures: failures of Python control laws, by run. A run with a failed law continues without forces. If `failures` is
             None, the first failure is raised as an error.
         numbers: index of each run among all cases; the keys of `failures`.
@@ -119,7 +119,7 @@ class Batch:
 
     @cached_property
     def drivers(self) -> list[RunDriver]:
-        """Controller, or known commands, of each case."""
+        """Controller of each case, or the recorded commands that replace it."""
         return [one.driver for one in self.cases]
 
     def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
@@ -139,7 +139,7 @@ def batch_of(
     """Returns the batch of several cases at sample times from 0 [s].
 
     Args:
-        numbers: index of each case in the list of all cases.
+        numbers: index of each case in the list of all cases; the keys of `failures`.
         streamed: True for inputs that do not store their road heights. Such inputs avoid storing all samples twice.
         failures: dictionary that receives the failures of Python control laws; None to raise the first failure.
     """

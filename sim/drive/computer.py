@@ -22,9 +22,9 @@ class Computer:
 
     Attributes:
         driver: driver of the runs.
-        runs: indices of the runs in the batch.
-        period: number of time steps per sample.
-        used: states of the driver with which the last commands were computed, shape (n, k).
+        runs: indices in the batch of the n runs that use this computer.
+        period: number of time steps per sample of the controller.
+        used: states of the driver from which the last commands were computed, shape (n, k).
     """
 
     def __init__(
@@ -42,12 +42,12 @@ class Computer:
         """Starts the driver for its n vehicles.
 
         Args:
-            vehicles, how: the vehicle and the controller implementation of each of the n runs.
+            vehicles, how: vehicle and controller implementation of each of the n runs.
             actuators: actuators of all runs of the batch.
             names: names of the signals that `step` receives, without the closing velocities that follow them.
             heights: road heights of these runs at the time steps, and beyond the end of the runs as far as the driver previews
                 [m], shape (.., n, r).
-            timestep: time step of the runs [s].
+            timestep: duration of a time step of the runs [s].
             samples: number of time steps of the runs.
         """
         self.driver, self.runs, self._actuators, self._heights = driver, runs, actuators, heights
@@ -89,7 +89,7 @@ class Computer:
         """Sets the commands for time step k from the signals and closing velocities at the start of this step.
 
         Args:
-            k: index of the time step.
+            k: index of the time step, from 0.
             signals: signals and closing velocities of all runs, shape (N, S).
             commands: commands of all runs, shape (N, size), changed in place.
         """
@@ -122,7 +122,7 @@ class Computer:
             commands[self.runs] = self._waiting[due, self._each]
 
     def _check(self, shape: tuple[int, ...]) -> None:
-        """Raises an InputError if the requests of a user's driver do not have the shape that the actuators need."""
+        """Raises InputError if the requests of a user's driver do not have the shape that the actuators need."""
         needed = len(self._each), self._actuators.size if self.driver.requests == "commands" else self._actuators.forces
         if shape != needed:
             raise InputError(
@@ -142,9 +142,9 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns a controller's implementation, without those effects that the law or its code already contains.
+    """Returns the implementation of a controller, without the effects that the control law or its code already contains.
 
-    Known commands have no implementation.
+    Recorded commands have no implementation.
     """
     how = vehicle.implementation
     if not controller.implemented:

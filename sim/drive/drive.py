@@ -44,7 +44,7 @@ class Observer(Protocol):
 
 
 class StoppedError(Exception):
-    """The runs were stopped before their end."""
+    """Error that is raised if the runs were stopped before their end."""
 
 
 def drive(
@@ -59,7 +59,7 @@ def drive(
     """Simulates cases in MuJoCo. Cases that can be stepped together form a batch.
 
     Args:
-        cases: the N cases.
+        cases: the N cases to simulate.
         time: equidistant sample times from 0 [s], shape (T,).
         observers: functions that create an observer for a batch, for example the classes in `sim.observers`.
         threads: largest number of threads; each has at least `FEWEST` runs. 0 means one per core. The results do not depend on
@@ -70,7 +70,7 @@ def drive(
         stopped: function that returns True to stop the runs; it is called regularly.
 
     Returns:
-        For each observer, a list with its result for each case.
+        A list for each observer, which contains the result of this observer for each case.
 
     Raises:
         InputError: a Python control law fails.

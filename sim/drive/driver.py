@@ -55,7 +55,7 @@ class Driver(Protocol):
 
     @property
     def requests(self) -> str:
-        """Meaning of the requests that `step` returns.
+        """Meaning of the requests that `step` returns: "forces", "coefficients" or "commands".
 
         "forces" [N] and damping "coefficients" of all dampers [N s/m] have shape (N, m), and the actuators limit them.
         "commands" are applied unchanged, see `sim.drive.actuators.Actuators`.
@@ -67,7 +67,7 @@ class Driver(Protocol):
 
         Args:
             vehicles: the N vehicles, all with the same sample period.
-            timestep: time step of the runs [s].
+            timestep: duration of a time step of the runs [s].
         """
         ...
 
@@ -76,7 +76,7 @@ class Driver(Protocol):
 
         Args:
             k: index of the time step, from 0.
-            y: measurements, shape (N, q).
+            y: measurements of the q signals in `measured`, shape (N, q).
             ahead: road heights under the wheels at this and the next samples [m], shape (N, r, P); None if there is no preview.
             state: states of the driver before this sample, shape (N, k).
         """
@@ -88,7 +88,7 @@ class RecordedForces(ControlLaw):
     """Recorded commands, which do not depend on the measurements.
 
     Attributes:
-        measured: measurements of the original controller.
+        measured: names of the signals that the original controller measured.
         forces: forces at every time step [N], shape (T, m), or commands of semi-active dampers, shape (T, 2 m).
     """
 
@@ -100,7 +100,7 @@ class RecordedForces(ControlLaw):
 
     @property
     def law_key(self) -> DriverKey:
-        """Key of the driver; see `ControlLaw`."""
+        """Key of the driver that repeats these commands; see `ControlLaw`."""
         return ("recorded",)
 
 
@@ -112,8 +112,8 @@ class Failure:
     """Failure of the control law of a run.
 
     Attributes:
-        why: reason, as one line of text.
-        together: True if the failed call of the law served several runs, so that another run may have caused the failure.
+        why: reason for the failure, as one line of text.
+        together: True if the failed call computed the forces of several runs, so that another run may have caused the failure.
     """
 
     why: str

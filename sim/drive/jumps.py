@@ -31,7 +31,7 @@ def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
 
     Args:
         response: response of N runs, or of a single run.
-        vehicles: the N vehicles, all of the same type.
+        vehicles: vehicles of the N runs, all of the same type.
     """
     timestep = float(response.time[1] - response.time[0])
     decides = np.array([bool(one.dampers) or steps_per_sample(one.implementation, timestep) > 1 for one in vehicles])
@@ -47,7 +47,7 @@ def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
 
 
 class Jumps:
-    """Computes the jumps of forces and accelerations for N runs with the same vehicle type, block by block."""
+    """Computes the jumps of forces and accelerations for N runs of one vehicle type, block by block."""
 
     def __init__(self, vehicles: Sequence[Vehicle], signals: Sequence[str]) -> None:
         """Prepares the jumps of the given output signals."""
@@ -114,7 +114,7 @@ class Jumps:
         return -self._change(self.coefficient[force], values) * np.stack(shaped)
 
     def _change(self, place: int, values: Array) -> Array:
-        """Returns the change of a signal since the previous sample, shape (N, B)."""
+        """Returns the change of a signal from the previous sample to each sample, shape (N, B)."""
         now, last = self._pair(place, values)
         return now - last
 

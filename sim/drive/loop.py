@@ -57,7 +57,7 @@ class Block:
         law_states: states of linear laws at their last sample, shape (B, N, k), where k is the largest number of states.
         measured: signals at the samples of the controllers, before noise and quantisation, followed by the closing velocities,
             shape (B, N, s); NaN at other time steps.
-        names: names of the signals in `measured`.
+        names: names of the signals and closing velocities in `measured`, in the order of its last axis.
         others: signals on the other side of vertical edges of the road, by index of the sample, shape (S, N) each.
     """
 
@@ -77,7 +77,7 @@ class Block:
         """Returns the time at which each run first diverged in this block [s], shape (N,), or infinity.
 
         Args:
-            time: all sample times [s], shape (T,).
+            time: sample times of the whole run [s], shape (T,).
         """
         wild = self._beyond_limits
         return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
@@ -98,10 +98,10 @@ class Block:
         return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed
 
     def clip(self, gone: Array) -> None:
-        """Clips the values at some samples to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0.
+        """Clips the values at some samples in place to at most `DIVERGENCE_LIMIT`, and replaces NaN by 0.
 
         Args:
-            gone: True at the samples to clip, shape (B, N).
+            gone: True at the samples whose values are clipped, shape (B, N).
         """
         runs = gone.any(axis=0)
         values = self.values[..., runs]
@@ -199,9 +199,10 @@ class Loop:
         return State(motion, np.zeros(len(vehicle.linear_model.inputs)), none, none, np.zeros((0, 0)))
 
     def _map(self, actuators: Actuators) -> Array:
-        """Returns the map to measured signals and closing velocities.
+        """Returns the matrix that maps MuJoCo's state to measured signals and closing velocities.
 
-        The map applies to (qpos, qvel), the used part of `sensordata`, and the states of the vehicle's parts.
+        The columns of the matrix belong to (qpos, qvel), to the used part of `sensordata`, and to the states of the vehicle's
+        parts.
         """
         readout, some = self.readout, self.seen
         linear = readout.linear[some][:, None]
@@ -218,7 +219,7 @@ class Loop:
         return np.concatenate([signals, closing])[None]
 
     def _unread(self, level: Array, before: Array, actuators: Actuators) -> Array:
-        """Returns the contributions to measured signals and closing velocities that the map omits, shape (B, N, s + m)."""
+        """Returns the contributions to measured signals and closing velocities that `_map` omits, shape (B, N, s + m)."""
         unmoved = np.zeros_like(level) if self.fresh else level - before
         signals = beside_reading(level, self.readout, self.seen, True) + beside_reading(unmoved, self.readout, self.seen, False)
         still = np.broadcast_to(actuators.at_rest, (*signals.shape[:2], len(actuators.at_rest)))
@@ -378,13 +379,13 @@ class _Signals:
         """Returns the signals of a block, shape (B, S, N).
 
         Args:
-            sensed: MuJoCo's `sensordata`, shape (B, nsensordata, N).
+            sensed: values of MuJoCo's sensors (`sensordata`), shape (B, nsensordata, N).
             readings: values to which the map of measurements applies, shape (B, N, w). The last k columns are the states of the
                 parts.
-            level, midway, before: road heights at the samples, during the steps after them, and during the steps before them
-                [m], shape (B, N, r).
-            commands: commands at the samples, shape (B, N, size).
-            activations: MuJoCo's activations, see `Actuators.record`.
+            level, midway, before: road heights at the samples, held during the step after each sample, and held during the step
+                before it [m], shape (B, N, r).
+            commands: commands that act from each sample on, shape (B, N, size).
+            activations: states of MuJoCo's actuators, see `Actuators.record`.
         """
         readout, place, inside = self.readout, self.place, self.inside
         values = np.zeros((len(sensed), len(place), sensed.shape[2]))
@@ -428,7 +429,7 @@ def _span(of_sensors: Array) -> slice:
     """Returns the part of `sensordata` on which signals depend.
 
     Args:
-        of_sensors: rows of `Readout.of_sensors` for these signals.
+        of_sensors: rows of the matrix `Readout.of_sensors` for these signals.
     """
     used = of_sensors.any(axis=0).nonzero()[0]
     return slice(int(used[0]), int(used[-1]) + 1) if len(used) else slice(0, 0)

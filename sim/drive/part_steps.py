@@ -36,7 +36,7 @@ class PartBatch(Batch):
     """Batch of N vehicles that have parts on the same suspensions.
 
     Attributes:
-        z: states of the parts, initially 0, shape (N, k).
+        z: internal states of the parts, initially 0, shape (N, k).
     """
 
     def __init__(
@@ -51,9 +51,10 @@ class PartBatch(Batch):
 
         Args:
             tendons: names of the tendons of the s suspensions.
-            pulls: computes the forces of the parts, which act on suspensions whose tendon has a motor in the model.
+            pulls: object that computes the forces of the parts, which act on the suspensions whose tendon has a motor in the
+                model.
             count: number N of runs.
-            models: model of each run; empty if all runs share `model`.
+            models: MuJoCo model of each run; empty if all runs share `model`.
         """
         super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensor values of the previous evaluation
         if models:
@@ -134,7 +135,7 @@ class PartBatch(Batch):
             rate[:] = now
 
     def _accelerate(self, bound: "_Bound", b: Array) -> None:
-        """Evaluates the accelerations again, now with the inertial parts.
+        """Computes the accelerations again, now including the forces of inertial parts.
 
         The force p = b l'' of an inerter depends on the acceleration l'' of its length. Let a be the value of l'' without
         inertial parts. The forces p change l'' to a + R p, so p = b (a + R p).
@@ -166,7 +167,7 @@ class _State:
     """State of N runs as one array `all`, shape (N, nq + nv + na + k), and views of its parts."""
 
     def __init__(self, count: int, ends: Array) -> None:
-        """Allocates the state.
+        """Allocates the array for the state.
 
         Args:
             count: number N of runs.
@@ -179,7 +180,7 @@ class _State:
 
 
 class _Bound:
-    """Array views of a batch's state, controls and computed quantities."""
+    """Arrays that view the state, the controls and the computed quantities of a batch."""
 
     def __init__(self, batch: Batch) -> None:
         model = batch.model
@@ -193,7 +194,7 @@ class _Bound:
 
 
 class _Inputs:
-    """Inputs of N runs after MuJoCo's limits on controls and forces."""
+    """Computes the inputs of N runs that act after MuJoCo has limited controls and forces."""
 
     def __init__(self, model: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
         own = [i for i in range(model.nu) if not model.actuator(i).name.startswith(FITTED_PREFIX)]
@@ -207,7 +208,7 @@ class _Inputs:
         )
 
     def __call__(self, bound: _Bound) -> Array:
-        """Returns the inputs that act, shape (N, m)."""
+        """Returns the inputs that act within these limits, shape (N, m)."""
         u = bound.controls[:, self._own]
         if self._controls is not None:
             u = np.minimum(np.maximum(u, self._controls[0]), self._controls[1])
@@ -218,13 +219,13 @@ class _Inputs:
 
     @staticmethod
     def _ranges(limited: Array, ranges: Sequence[Array]) -> tuple[Array, Array] | None:
-        """Returns the smallest and the largest allowed values, shape (N, m) or (1, m); None if nothing is limited."""
+        """Returns the smallest and the largest allowed inputs, shape (N, m) or (1, m); None if no input is limited."""
         low, high = np.where(limited[:, None], ranges, [-np.inf, np.inf]).transpose(2, 0, 1)
         return (low, high) if limited.any() else None
 
 
 class _Lengths:
-    """Lengths of s tendons, relative to the lengths in equilibrium.
+    """Computes the lengths of s tendons in N runs, relative to their lengths in equilibrium.
 
     Attributes:
         linear: True if the lengths are linear in the positions.

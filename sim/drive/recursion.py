@@ -15,7 +15,7 @@ def lag_commands(commands: Array, z: Array) -> Array:
 
     Args:
         commands: commands that are held from each sample to the next, shape (T, m).
-        z: bandwidth of each lag times the time step, shape (m,); 0 for no lag.
+        z: product of bandwidth and time step for each lag, shape (m,); 0 for no lag.
     """
     way = way_in_step(z)
     return np.where(z > 0, recursion(np.diag(1 - way), way * commands), commands)
@@ -25,8 +25,8 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
     """Returns the lagging values at the four stages of every RK4 step, as four arrays of shape (T - 1, m).
 
     Args:
-        now: values at the samples, shape (T, m); these are the commands if there is no lag.
-        z: bandwidth of every lag times the time step, see `lag_commands`.
+        now: lagging values at the samples, shape (T, m); without a lag, these values are the commands.
+        z: product of bandwidth and time step for each lag, see `lag_commands`.
     """
     way, before, gone = way_in_step(z), now[:-1], np.zeros_like(now[:-1])
     change, stages = np.diff(now, axis=0) / np.where(way > 0, way, 1.0), list[Array]()
@@ -40,6 +40,6 @@ def way_in_step(z: Any) -> Any:
     """Returns the fraction of the distance to the command that a lagging value covers in one RK4 step.
 
     Args:
-        z: bandwidth of the lag times the time step, any shape.
+        z: product of bandwidth and time step for the lag, any shape.
     """
     return z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))

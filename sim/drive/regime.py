@@ -36,10 +36,11 @@ class Threshold:
     """Limit of a signal that ends the linear regime.
 
     Attributes:
-        signal: name of the signal.
+        signal: name of the signal that is limited.
         sign: 1 for an upper limit, -1 for a lower limit, 0 for a limit of the magnitude.
         value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
-        tyre: hub and road velocities, on which a damping tyre's force also depends; None if only the deflection matters.
+        tyre: names of the hub and road velocities, on which the force of a damping tyre also depends; None if only the
+            deflection matters.
         part: part whose force beyond its linearisation is limited [N]; None if the signal is limited.
         of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
     """
@@ -85,14 +86,14 @@ class End:
     """End of the linear regime.
 
     Attributes:
-        name: name in tables, maps and JSON output.
-        event: name of the event at its first time in a log; empty if it is not logged.
+        name: name of this end in tables, maps and JSON output.
+        event: text that a log contains at the first time of this end; empty if the end is not logged.
         verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports it in another way.
-        color: colour in a map, on a light background.
+        color: colour of this end in a map, on a light background.
         marker: shape and colour of the marker on plots with a dark background. The names of the shapes are those of Rerun. No
             line has this colour.
         thresholds: function that returns the thresholds of a vehicle; an empty list if the vehicle has no such limit.
-        exact: True if the exact response remains valid after this end, because only the linearity ends.
+        exact: True if the exact sampled response remains valid after this end, because only the linearity ends.
     """
 
     name: str
@@ -105,7 +106,7 @@ class End:
 
 
 def _flat(vehicle: Vehicle) -> list[Threshold]:
-    """Returns the thresholds at which tyres are fully compressed."""
+    """Returns the thresholds of tyre deflections at which tyres are fully compressed."""
     return [Threshold(wheel.tyre_deflection, -1.0, MOST_SQUEEZE) for wheel in vehicle.kind.wheels]
 
 
@@ -247,7 +248,7 @@ def command_rates(forces: Array, way: Any, interval: Any) -> Array:
 
     Args:
         forces: forces at the samples [N], shape (..., T).
-        way: fraction of the distance to the command that a force covers in a step, shape (...); 0 if there is no lag.
+        way: fraction of the distance to its command that a lagging force covers in a step, shape (...); 0 if there is no lag.
         interval: sample period [s], shape (...).
     """
     way, interval = np.asarray(way)[..., None], np.asarray(interval)[..., None]
@@ -270,8 +271,8 @@ class EndDetector:
     its clipping counts as saturation. The rates of commands, which a rate limit limits, are computed in the same way.
 
     Attributes:
-        times: first time of each end [s], shape (N, E); infinity if it is not reached.
-        shares: largest value of each limited quantity, relative to its limit, shape (N, E); 0 if there is no limit.
+        times: first time of each end [s], shape (N, E); infinity if the end is not reached.
+        shares: largest value of each limited quantity in a run, relative to its limit, shape (N, E); 0 if there is no limit.
     """
 
     def __init__(
@@ -347,9 +348,9 @@ class EndDetector:
         Args:
             end: index of the end.
             start: index of the first sample.
-            towards: values in the direction of the limit, shape (B, N).
-            limit: limit in every run, shape (N,).
-            at: fraction of the limit at which the limit counts as reached.
+            towards: values of the limited quantity, with a sign such that the limit is an upper limit, shape (B, N).
+            limit: value of the limit in each run, shape (N,).
+            at: fraction of its value at which the limit counts as reached.
         """
         largest = np.fmax.reduce(towards, axis=0, initial=0.0)
         self.shares[:, end] = np.maximum(self.shares[:, end], largest / limit)
@@ -387,7 +388,7 @@ def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup
 def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which a simulated response first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity.
 
-    Leading axes are runs. `anti_windup` is True if their law has anti-windup.
+    Leading axes are runs. `anti_windup` is True if the law of these runs has anti-windup.
     """
     return _detected(vehicle, response, False, anti_windup).times.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
 
@@ -405,8 +406,8 @@ def scaled(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bo
     """Returns a detector that has received all samples of N multiples of a linear response.
 
     Args:
-        factors: factors for the road height, negative for a hole; shape (N,).
-        anti_windup: True if the law has anti-windup.
+        factors: factors by which the road height is multiplied, negative for a hole, shape (N,).
+        anti_windup: True if the control law of the runs has anti-windup.
     """
     detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))
     for start in range(0, len(response.time), BLOCK):
@@ -436,5 +437,5 @@ def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) ->
 
 
 def broken_by(response: Response) -> str:
-    """Returns the reason why a run ended early: `DIVERGENCE`, or `LAW_OVERFLOW` if the states of its law diverged."""
+    """Returns the reason why a run ended early: `DIVERGENCE`, or `LAW_OVERFLOW` if only the states of its law diverged."""
     return LAW_OVERFLOW if response.law_diverged else DIVERGENCE

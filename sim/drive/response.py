@@ -36,9 +36,9 @@ def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> A
     For angles, the size of displacements is then used, which corresponds to a distance of 1 m.
 
     Args:
-        sizes: size of each of p signals, shape (..., p).
-        units: units of the signals.
-        still: `STILL`, or the square of `STILL` if the sizes are squares.
+        sizes: size of each of p signals, for example its peak, shape (..., p).
+        units: units of the p signals.
+        still: share of the displacements below which angles count as zero: `STILL`, or its square if the sizes are squares.
     """
     largest = {unit: sizes[..., np.array(units) == unit].max(axis=-1) for unit in {*units}}
     for turned, along in ALONG.items():
@@ -76,7 +76,7 @@ class Response(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the number of samples and runs, and the signals with their units."""
+        """Document that states the number of samples and runs, and lists the signals with their units."""
         times = f", {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
         runs = f", {' x '.join(map(str, self.values.shape[:-2]))} runs" if self.values.ndim > 2 else ""
         signals = ", ".join(f"{signal.name} [{signal.unit}]" for signal in self.signals)
@@ -102,7 +102,7 @@ class Response(ShownResult):
 
     @check_arguments
     def run(self, index: int) -> "Response":
-        """Returns one of several runs.
+        """Returns the response of one of several runs.
 
         Raises:
             InputError: the run does not exist.
@@ -125,7 +125,7 @@ class Response(ShownResult):
         """Adds the values on the other side of vertical edges to `before`.
 
         Args:
-            others: values of all signals at some samples, shape (..., S) each, by index of the sample.
+            others: values of all signals on the other side of the edges, shape (..., S) each, by index of the sample.
         """
         before = dict(self.before)
         for i, name in enumerate(self.names):
@@ -242,10 +242,11 @@ def difference(physics: Response, sampled: Response) -> Response:
     """Returns the difference from the sampled response, relative to its peaks. The verdict uses the largest value.
 
     Args:
-        sampled: exact sampled response, at the same times as the simulated one.
+        sampled: exact sampled response, at the same sample times as this simulated response.
 
     Returns:
-        The vehicle's signals by name, without the road signals, which are inputs of both responses.
+        Largest difference of each signal of the vehicle, by name. The road signals are omitted, because they are inputs of both
+        responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []

@@ -43,7 +43,7 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """Maps from MuJoCo's state and sensors to signals.
+    """Matrices that map MuJoCo's state and sensors to signals.
 
     A signal is the value of its sensor along the sensor's `user` direction, minus the value in equilibrium.
 
@@ -52,18 +52,19 @@ class Readout:
         stage: mjtStage to which MuJoCo must be evaluated for the sensor of each signal, shape (S,).
         linear: True for signals that are linear in (qpos, qvel), shape (S,). Linear signals are computed from the state before
             a step. Evaluating their sensors would take a seventh of the time of the step.
-        of_state: map from (qpos, qvel) to linear signals, shape (S, nq + nv).
-        of_sensors: map from `sensordata` to signals, shape (S, nsensordata).
-        of_parts: map from the states of parts to signals, shape (S, k).
+        of_state: matrix that maps (qpos, qvel) to linear signals, shape (S, nq + nv).
+        of_sensors: matrix that maps MuJoCo's `sensordata` to signals, shape (S, nsensordata).
+        of_parts: matrix that maps the states of parts to signals, shape (S, k).
         of_road: derivatives of the signals with respect to the road heights, in which signals are linear, shape (S, r).
         rest: values of `of_sensors` in equilibrium, shape (S,).
         has_road_feedthrough: True if an acceleration depends directly on the road. The value that MuJoCo computes within the
             step, for the road at mid-step, is then not sufficient.
-        mocap: mocap index of each wheel's road.
-        stretching_rates: map from qvel to the extension rate of each input's actuator in equilibrium, shape (m, nv).
+        mocap: index of the mocap body that is the road under each wheel.
+        stretching_rates: matrix that maps qvel in equilibrium to the extension rate of the actuator of each input, shape (m,
+            nv).
         lagging: index of each input's activation in the model, shape (m,); -1 if it has no activation.
         load_dofs: degree of freedom on which each load acts.
-        damped_tyres: wheels with damping tyres, each with its actuator.
+        damped_tyres: wheels whose tyres have damping, each with the actuator that applies the damping force.
     """
 
     names: tuple[str, ...]
@@ -198,7 +199,7 @@ def sensed_stage(readout: Readout, used: Array) -> int:
 
     Args:
         readout: maps to the signals.
-        used: True for signals that are used, shape (S,).
+        used: True for each signal that is needed, shape (S,).
     """
     return int(max(readout.stage[used & ~readout.linear], default=0))
 
@@ -207,9 +208,9 @@ def beside_reading(road: Array, readout: Readout, some: Sequence[int], linear: b
     """Returns the contributions of the road heights and of the equilibrium values to signals, shape (T, N, s).
 
     Args:
-        road: road heights that are not yet included [m], shape (T, N, r).
+        road: road heights whose contribution is not yet included [m], shape (T, N, r).
         readout: maps to the signals.
-        some: indices of the signals.
+        some: indices of the s signals.
         linear: True for the signals computed from the state, False for those computed from sensors. The other signals are 0.
     """
     beside = np.zeros((*road.shape[:2], len(some)))
@@ -225,9 +226,9 @@ def mix(matrix: Array, parts: Array, total: Array) -> None:
     """Adds a matrix product to totals term by term, so that the order of summation is fixed.
 
     Args:
-        matrix: weights, shape (S, k).
-        parts: terms, shape (B, k, N).
-        total: sums, shape (B, S, N), changed in place.
+        matrix: weights of the k terms in each sum, shape (S, k).
+        parts: terms of the sums, shape (B, k, N).
+        total: sums to which the products are added, shape (B, S, N), changed in place.
     """
     for i, j in np.argwhere(matrix).tolist():
         total[:, i] += parts[:, j] if matrix[i, j] == 1 else matrix[i, j] * parts[:, j]

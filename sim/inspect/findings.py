@@ -28,9 +28,9 @@ class Finding:
     """Result of the check of one claim.
 
     Attributes:
-        part: subject of the claim, such as "certificate".
+        part: part of the log to which the claim belongs, such as "certificate".
         verdict: `HOLDS`, `FAILS`, `MISSING` (the log does not contain the proof), or `NOTE` (there is nothing to prove).
-        text: printed sentence about the result.
+        text: printed sentence that states the result of the check.
     """
 
     part: str

@@ -51,7 +51,7 @@ class RecordedRun:
 
     Attributes:
         name: name of the run.
-        claims: metadata of the run as text, by key; see `sim.recording.run_records.run_log`.
+        claims: logged properties and results of the run as text, by key; see `sim.recording.run_records.run_log`.
         responses: logged responses by name, see `RESPONSES`.
     """
 

@@ -58,8 +58,8 @@ class InspectedRun:
     """Result of the check of a logged run.
 
     Attributes:
-        recorded_run: the run in the log.
-        findings: findings about all claims of the run.
+        recorded_run: the checked run, as the log contains it.
+        findings: findings about all claims of the log about this run.
         again: the repeated run; None if the run could not be repeated.
     """
 
@@ -73,10 +73,10 @@ class Proof:
     """Result of the check of a log.
 
     Attributes:
-        log: the log.
-        vehicle: vehicle of the attached vehicle file; None if this file cannot be read.
-        findings: findings about the whole log.
-        runs: checked runs of the log.
+        log: the checked log.
+        vehicle: vehicle that the attached vehicle file describes; None if this file cannot be read.
+        findings: findings that concern the whole log, not a single run.
+        runs: results of the checks of all logged runs.
     """
 
     log: Log
@@ -161,7 +161,7 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
         vehicle: vehicle with the implementation of the run.
         controller: controller of the run.
         recorded: the run in the log.
-        h: timestep of the run [s].
+        h: timestep with which the run was simulated [s].
     """
     certificate, record = controller.certificate, recorded.claim("certificate")
     norm = norm_if_implemented(vehicle, controller, h)
@@ -274,12 +274,12 @@ def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds
     """Compares logged values with recomputed values.
 
     Args:
-        part: subject of the findings.
-        source: words in the text that state where the logged values come from.
-        said: logged values.
-        now: recomputed values.
+        part: part of the log to which the findings belong.
+        source: words for the text of a finding, which state where the logged values come from.
+        said: values in the log, as a JSON value.
+        now: recomputed values, as a JSON value.
         what: plural noun that the text uses for further differences.
-        holds: texts of the findings that are yielded if there is no difference.
+        holds: text of each finding that is yielded if no value differs.
 
     Yields:
         A finding about the first difference, with the number of further differences; otherwise a finding for each of `holds`.

@@ -44,7 +44,7 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
     """Returns the vehicle of the attached vehicle file.
 
     Args:
-        log: the log.
+        log: log that contains the run or its vehicle file.
         kinds: folder of custom vehicle types, whose Python code is executed; None to allow only built-in types.
 
     Raises:
@@ -115,13 +115,13 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
 
 
 def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyController) -> tuple[Run, Response]:
-    """Repeats a run: predicts it by linear analysis, and simulates it in MuJoCo.
+    """Repeats a logged run: predicts it by linear analysis, and simulates it in MuJoCo.
 
     For a law in Python, the logged forces are applied.
 
     Args:
-        log: the log.
-        run: the run in the log.
+        log: log that contains the run or its vehicle file.
+        run: logged run.
         vehicle: vehicle of the run, see `with_implementation_of`.
         controller: controller of the run, see `recorded_controller`.
 
@@ -156,10 +156,10 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
 
     Args:
         vehicle: vehicle of the run.
-        run: the run in the log.
+        run: logged run.
         name: name of the response, one of `RESPONSES`.
         timestep: timestep of the run [s].
-        states: signals for the states of the controller, see `controller_states`.
+        states: signals that represent the states of the controller, see `controller_states`.
 
     Raises:
         InputError: the log does not contain this response, or its signals are not those of the vehicle.

@@ -44,8 +44,8 @@ def describe(proof: Proof, in_table: bool = False) -> Document:
     """Returns the printed document: the log, the findings about log and runs, and whether all claims in the log are proved.
 
     Args:
-        proof: the log and its findings.
-        in_table: True for one table of all runs instead of a document about each run.
+        proof: result of the check: the log and all findings.
+        in_table: True for one table that contains all runs instead of a document about each run.
     """
     log, vehicle = proof.log, proof.vehicle
     about = [log.metadata.get("command_line", ""), f"vehicle type {vehicle.kind.name}" if vehicle else "vehicle type unknown"]

@@ -33,7 +33,7 @@ def stretching_rates(vehicle: Vehicle) -> Array:
 
 
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the closing velocity of each damper at the samples [m/s], shape (T, m + c); 1 for active actuators.
+    """Returns the closing velocity of each damper at the samples [m/s], shape (T, m + c); the value is 1 for active actuators.
 
     The last c columns are travels and states of voltage-controlled elements, see `CoefficientRange.closing`.
     """

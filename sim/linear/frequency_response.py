@@ -64,8 +64,8 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: time step h [s].
         exponential: function for the matrix exponential; `taylor4` predicts RK4.
-        pulls: e deflections along which additional forces act. If given, the responses to these forces, per newton, are
-            appended, and the shape is (F, p, r + e).
+        pulls: names of e deflections along which additional forces act. If given, the responses to these forces, per newton,
+            are appended, and the shape is (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -151,7 +151,7 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
     """Returns the gains from sinusoidal roads under the wheels to the performance output z, shape (F,).
 
     Args:
-        response: frequency response at the frequencies, shape (F, p, r).
+        response: frequency response of p outputs to r wheels at these frequencies, complex, shape (F, p, r).
         omega: angular frequencies [rad/s], shape (F,).
         speed: forward speed [m/s].
     """
@@ -169,7 +169,8 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     this gain is the H-infinity norm.
 
     Args:
-        response: function that returns the frequency response, shape (F, p, r), at angular frequencies [rad/s], shape (F,).
+        response: function of angular frequencies [rad/s], shape (F,), that returns the frequency response at these, shape (F,
+            p, r).
         highest: upper end of the search [rad/s]: the Nyquist frequency pi / h.
         speed: forward speed [m/s].
     """

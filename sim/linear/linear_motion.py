@@ -26,7 +26,7 @@ def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts:
 
     Args:
         model: linear model of the vehicle, or its model at the wheels, which does not contain the states of parts.
-        effects: function that returns the effects of suspension forces on this model, see `Vehicle.force_effects`.
+        effects: function that returns how suspension forces act on this model, see `Vehicle.force_effects`.
         acts: True for each suspension that has forces outside the linear model.
 
     Returns:
@@ -75,7 +75,7 @@ class LinearMotion:
         self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, self.model, effects, acts)
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """Returns the form of the state that does not jump if the road jumps. See `Motion`."""
+        """Returns the state in a form that does not jump when the road jumps. See `Motion`."""
         return np.stack([signals[name] for name in self.names], axis=-1) - heights @ self._jump
 
     def usable(self, state: Array) -> Array:

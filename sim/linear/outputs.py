@@ -29,8 +29,8 @@ def response_of(
     Args:
         model: model of the vehicle, or a larger model that begins with its states and inputs.
         states, inputs: states and inputs at the samples, shapes (T, n) and (T, m).
-        beyond: contribution of characteristics and loads to the outputs, shape (T, p), or 0.
-        beside: additional signals by name, each of shape (T,). If None, the damper signals for these inputs are added.
+        beyond: contribution of characteristics and loads to the outputs, shape (T, p); 0 without characteristics and loads.
+        beside: additional signals by name, each of shape (T,). If None, the function adds the damper signals for these inputs.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
     return response_by_name(road, (*model.outputs, *with_ending(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
@@ -64,9 +64,10 @@ def with_linear_sides(response: Response, road: RoadInput, held: bool, of_height
     """Adds the values on the other side of each vertical edge of the road to a linear response.
 
     Args:
-        response: response of a single run over the road.
-        held: argument of the same name of `RoadInput.vertical_edges`.
-        of_heights: jump of every output per jump of the road height under every wheel, shape (p, r); None if no force jumps.
+        response: linear response of a single run over the road.
+        held: value that is passed as `held` to `RoadInput.vertical_edges`.
+        of_heights: jump of each output for a road height that jumps by 1 m under each wheel, shape (p, r); None if no force
+            jumps.
     """
     if not road.road.jumps:
         return response

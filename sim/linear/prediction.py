@@ -35,7 +35,7 @@ class Prediction:
 
     Attributes:
         input: vehicle with the limits and the implementation of this run, and its road.
-        controller: controller of the run.
+        controller: controller whose law closes the loop.
         requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for other
             controllers.
         replayed: True if the commands of a Python control law come from a log, so that the law is not run.
@@ -64,7 +64,7 @@ class Prediction:
 
     @property
     def finer(self) -> Response | None:
-        """`sampled` without the estimated error of RK4; None if `sampled` is exact."""
+        """The response `sampled` without the estimated error of RK4; None if `sampled` is exact."""
         return self._sampled[2]
 
     @cached_property
@@ -82,7 +82,7 @@ class Prediction:
     def radius(self) -> float:
         """Spectral radius of the sampled loop per time step. If it is above 1, the loop is unstable.
 
-        NaN if the loop is too large or not linear.
+        The value is NaN if the loop is too large or not linear.
         """
         if not is_linear(self.controller, self.vehicle):
             return math.nan
@@ -145,7 +145,7 @@ class Prediction:
 
     @property
     def is_linear(self) -> bool:
-        """True if there is a sampled response, because no semi-active damper is set."""
+        """True if a sampled response exists, because the controller sets no semi-active damper."""
         return not self.vehicle.dampers or not self.controller.acts
 
     @property
@@ -166,7 +166,7 @@ class Prediction:
 
     @property
     def cause(self) -> str:
-        """Text that lists effects in the run that the sampled response omits; empty if only the error of RK4 remains."""
+        """Text that lists the effects in the run that the sampled response omits; empty if it omits only the error of RK4."""
         noise = self.vehicle.implementation.noise_text if self.is_blurred else ""
         geometry = "geometry" if has_geometry(self.vehicle) else ""
         return " and ".join(filter(None, (geometry, noise, self.rounding_text)))
@@ -194,7 +194,7 @@ def predict_run(controller: AnyController, road: RoadInput, commands: Array, mos
 
     Args:
         commands: commands of the actuators in the run, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
-        most_states: see `Prediction`.
+        most_states: largest number of states of a loop for which eigenvalues are computed, see `Prediction`.
     """
     requested = commands if controller.user_code else np.zeros((0, 0))
     return Prediction(road, controller, requested, most_states=most_states)

@@ -28,7 +28,7 @@ class ResponseBatch:
 
     Attributes:
         outputs: names of the outputs of the linear model.
-        index: index of each output among the signals of the vehicle.
+        index: index of each of these outputs among the signals of the vehicle.
     """
 
     def __init__(self, batch: Batch) -> None:

@@ -58,7 +58,7 @@ def _largest_gain(law: LinearLaw, fastest: float) -> Array:
     """Returns the largest gain of a law for each measurement, at frequencies up to twice the vehicle's rate, shape (m, q).
 
     Args:
-        law: control law in continuous time.
+        law: control law in continuous time, from q measurements to m forces.
         fastest: fastest rate of the vehicle [rad/s].
 
     The lowest frequency has a period of minutes, longer than a run. The gain of an integrator at lower frequencies has no

@@ -73,7 +73,7 @@ def sampled_response(controller: Controller, road: RoadInput, exponential: Calla
     """Returns the response of the sampled loop from equilibrium, at the sample times of the road.
 
     Args:
-        controller: linear controller of the road's vehicle.
+        controller: linear controller of the vehicle that drives over the road.
         road: road, with its vehicle.
         exponential: function for the matrix exponential; `taylor4` predicts RK4 up to rounding.
     """
@@ -177,7 +177,7 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
     Evaluating a random road takes most of the time. Each value at a quadrature node is therefore used for all three integrals.
 
     Args:
-        system: closed loop with the control forces as inputs.
+        system: closed loop in continuous time, whose inputs are the control forces.
     """
     A, B = system.A, system.B
     road, vehicle, time, h, T = (
@@ -266,8 +266,8 @@ def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, ti
     """Returns the integral of push(t) in x' = A x + push(t) over the step from each given time, shape (T, n).
 
     Args:
-        A: system matrix, shape (n, n).
-        push: function of times that returns the inputs, shape (.., n).
+        A: system matrix of the differential equation, shape (n, n).
+        push: function of times that returns push(t) at these times, shape (.., n).
         kinks: times at which the steps are divided [s].
         time: start of each step [s].
     """
@@ -312,7 +312,7 @@ CHEBYSHEV = 16  # number of nodes of the Chebyshev polynomial, whose degree is o
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
-    """Returns the steps from given times [s] that contain a kink, each with its ends and the kinks between them [s]."""
+    """Returns the steps with a kink among those from the given times; for each step, its start, its kinks and its end [s]."""
     found = []
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():
         if 0 <= k < len(time):

@@ -114,7 +114,7 @@ class Stepper:
 
         Args:
             xi: state xi of the vehicle before the step, shape (N, n).
-            added: contribution of road, loads and inputs, shape (N, k), see `outside` and `by_inputs`.
+            added: contribution of road, loads and inputs to this step, shape (N, k), see `outside` and `by_inputs`.
         """
         known, s, w = xi.dot(self._of_states), self._s, self._s + self._own
         known += added
@@ -136,7 +136,8 @@ class Stepper:
             xi: state xi of the vehicle, which does not jump with the road, shape (..., N, n).
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
-            held: loads, and road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None for zero.
+            held: loads on the body, followed by road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None if
+                all are zero.
         """
         y = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs
         if held is not None and len(self._of_held):
@@ -247,7 +248,7 @@ class _Laws:
         """Returns the requested forces and the states after a sample, shapes (N, m) and (N, k).
 
         Args:
-            sample: index of the sample.
+            sample: index of the sample, from 0.
             xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The given inputs are those that
                 have acted until the sample.
             law_states: states of the laws before the sample, shape (N, k).
@@ -263,8 +264,8 @@ class SteppedRuns:
     """Results of N runs over T samples.
 
     Attributes:
-        steps: steps of the vehicle.
-        inputs: the N roads.
+        steps: object that computes the steps of the vehicle.
+        inputs: roads of the N runs.
         states: states xi at the samples, shape (T, N, n).
         given_forces: inputs of the vehicle, which are held from each sample to the next, shape (T, N, m).
         missing_forces: forces that semi-active dampers do not supply [N], shape (T, N, m); (T, N, 0) without semi-active
@@ -317,8 +318,8 @@ def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput])
     """Returns the runs of sampled loops from equilibrium. For laws with fewer states than others, the last states are 0.
 
     Args:
-        controllers: N linear controllers. The measurements have no noise.
-        inputs: N roads of the same vehicle, at the same sample times.
+        controllers: linear controllers of the N runs. Their measurements have no noise.
+        inputs: roads of the N runs, for the same vehicle and at the same sample times.
     """
     vehicle, time, h = inputs[0].vehicle, inputs[0].time, inputs[0].timestep
     how, of = vehicle.implementation, range_of([vehicle]) if vehicle.dampers else None

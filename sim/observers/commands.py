@@ -46,7 +46,7 @@ class _Samples:
     """Samples of one controller that are compared.
 
     Attributes:
-        due: indices of the time steps of the K samples.
+        due: indices of the time steps at which the controller takes the K samples.
         period: number of time steps per sample.
         y: measurements that the law receives, shape (K, q).
         closing_velocities: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without semi-active dampers.
@@ -64,7 +64,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
     """Compares a run's commands with its control law, up to the time at which the run diverges.
 
     Args:
-        controller, road: controller, vehicle and road that the run should have.
+        controller, road: controller and road input that the run should have; the road input includes the vehicle.
         recording: recording of the run.
     """
     vehicle, h = road.vehicle, road.timestep
@@ -101,7 +101,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
 
 
 def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
-    """Returns the agreement for the signal with the largest ratio of difference to allowed difference."""
+    """Returns the agreement for the signal whose difference is largest relative to its allowed difference."""
     worst = CommandAgreement(0.0, EXACT, vehicle.linear_model.inputs[0], np.inf)
     since = np.inf
     for name, times, far, allowed in differences:
@@ -192,8 +192,8 @@ def _linear(
     """Returns a linear law's commands, shape (K, c), and its next states, shape (K, k), each with the allowed differences.
 
     Args:
-        limiter: rate limiter of the commands, or None.
-        logged: see `_limit_commands`.
+        limiter: rate limiter of the commands; None if their rate is not limited.
+        logged: commands that have acted in the run, see `_limit_commands`.
     """
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law = controller.law.sampled(samples.period * h)

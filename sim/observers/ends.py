@@ -17,8 +17,8 @@ class RunEnd:
     """Ends of the linear regime of one run.
 
     Attributes:
-        times: first time of each of `REGIME_ENDS` [s], shape (E,); infinity if it is not reached.
-        diverged: time at which the run diverged [s]; infinity if it did not.
+        times: first time of each of `REGIME_ENDS` [s], shape (E,); infinity for an end that is not reached.
+        diverged: time at which the run diverged [s]; infinity if it did not diverge.
         law_diverged: True if the run diverged only because of the states of its law.
     """
 

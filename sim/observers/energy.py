@@ -76,7 +76,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
     """Computes the energy balance of one run.
 
     Args:
-        run: recording of a MuJoCo run.
+        run: recording of the MuJoCo run whose energy is balanced.
         until: time at which the run becomes invalid [s], if this is before it diverged.
     """
     vehicle, road = run.vehicle, run.input
@@ -172,7 +172,8 @@ def _lost_energy(
     The vehicle's linear damper and the force of an input are excluded; their work is computed separately.
 
     Args:
-        inputs: inputs of a voltage-controlled element at the start, in the middle and at the end of every step.
+        inputs: setting of a voltage-controlled element minus its nominal setting, at the start, in the middle and at the end of
+            every step.
     """
     if one.part.stores:
         return 0.0

@@ -29,9 +29,9 @@ class LocalAgreement:
     """Result of a local check, either of steps or of commands.
 
     Attributes:
-        error: the difference with the largest ratio to its allowed difference, relative to the peak of the signal.
-        allowed: allowed difference of this signal, relative to its peak.
-        signal: name of this signal, command or state of the law.
+        error: difference that is largest compared with its allowed difference, relative to the peak of its signal.
+        allowed: allowed difference of the same signal, relative to the peak of the signal.
+        signal: name of the signal, command or state of the law that has this difference.
         since: time of the first step or sample at which a difference exceeds the allowed one [s]; infinity if none does.
     """
 
@@ -76,8 +76,8 @@ class Energy(ShownResult):
     """Energy balance of a run, from its start to its end, or to the time at which the run became invalid.
 
     Attributes:
-        road: work done by the road [J].
-        actuators: work done by the actuators [J].
+        road: work done by the road on the vehicle [J].
+        actuators: work done by the actuators on the vehicle [J].
         stored: change of the kinetic and potential energy [J].
         dissipated: energy that the dampers dissipate [J].
         turnover: sum of the energy that the dampers dissipate, the energy that the actuators supply and absorb, and the largest
@@ -102,7 +102,7 @@ class Energy(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the verdict and the energies."""
+        """Document that contains the verdict and the energies."""
         parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
         title = (
             f"energy {self.verdict}: the residual is {difference(self.residual)} of the {JOULES.text(self.turnover)} exchanged"
@@ -126,7 +126,7 @@ class Energy(ShownResult):
 
     @property
     def verdict(self) -> str:
-        """Verdict as text."""
+        """Verdict on the energy balance, as text."""
         return "DOES NOT BALANCE" if self.fails else "balances" if self.judged else "is not evaluated"
 
     @property

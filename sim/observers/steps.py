@@ -58,7 +58,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     Returns None if the vehicle has no equations of motion.
 
     Args:
-        road: vehicle and road that the run should have.
+        road: road input that the run should have; the road input includes the vehicle.
         recording: recording of the run.
         until: time of the last step [s].
         rounding: rounding error of every output signal in the loop, see `sim.linear.rounding`.
@@ -111,14 +111,15 @@ class _Starts:
     """Starts of the K steps that are compared.
 
     Attributes:
-        vehicle: vehicle with its limits.
+        vehicle: vehicle with the limits of its actuators.
         timestep: duration of the steps [s].
         state: state of `Motion`, shape (K, n).
-        own: states of the vehicle's parts, shape (K, k).
+        own: internal states of the vehicle's parts, shape (K, k).
         heights: road heights at the starts and after the last step [m], shape (K + 1, r).
         midway: road heights that are held during the steps [m], shape (K, r).
         loads: loads that are held during the steps, see `RoadInput.held_inputs`.
-        there: simulated signals of `Motion.names` and states of parts at the ends of the steps, shape (K, p + k).
+        there: simulated values of the signals `Motion.names`, and of the states of parts, at the ends of the steps, shape (K, p
+            + k).
         stages: forces, or coefficients of dampers relative to the nominal ones, at RK4's four stages, shape (K, m) each.
     """
 
@@ -186,7 +187,7 @@ def _pulls(
 
     Args:
         given: commands that act during the RK4 stage.
-        own: states of the vehicle's parts.
+        own: internal states of the vehicle's parts.
         seen: list to which the function appends deflections and their rates; the first entry belongs to the given states.
         state, heights, inputs, loads: arguments of `Motion.rate`.
 

@@ -42,8 +42,9 @@ def record(
         folder: folder of the files. A missing folder is created.
         stem: common name of the files, without suffix.
         runs: runs with distinct names.
-        metadata: metadata of all runs.
-        attachments: media type and content of each, by name. Only the MCAP file has attachments; Rerun files cannot have them.
+        metadata: metadata that apply to all runs, as text by key.
+        attachments: media type and content of each attached file, by name. Only the MCAP file contains them; Rerun files
+            cannot.
 
     Returns:
         Paths of the files: `mcap`, `layout` and `rerun`.

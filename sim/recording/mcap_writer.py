@@ -44,8 +44,8 @@ def write_mcap(
     Args:
         path: path of the file; an existing file is overwritten.
         runs: runs with distinct names, and times [s] that are not negative.
-        metadata: metadata of all runs.
-        attachments: (media type, content) by name.
+        metadata: metadata that apply to all runs, as text by key.
+        attachments: media type and content of each attached file, by name.
 
     Raises:
         OSError: the file cannot be written.

@@ -199,7 +199,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         path: path of the file; an existing file is overwritten.
         runs: runs with distinct names. Frames with values that are not finite are omitted, so that the car stops at the last
             finite frame.
-        metadata: metadata of all runs.
+        metadata: metadata that apply to all runs, as text by key.
 
     Raises:
         OSError: the file cannot be written.

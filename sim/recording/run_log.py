@@ -35,13 +35,14 @@ class RunLog:
         name: name of the run, usually that of its controller.
         responses: responses by topic: simulated by MuJoCo, exact sampled, and of the paper's continuous loop.
         metadata: claims about the run (its properties and results), as text by key. Structured values are JSON.
-        events: time [s] and text of each event: lift-off, landing, divergence.
-        summary: design and verdict, as Markdown.
+        events: time [s] and text of each event, such as lift-off, landing or divergence.
+        summary: description of the controller's design and the verdict on the run, as Markdown.
         scene: drawing of the vehicle over time.
         verdict: short result of the comparison; empty if nothing was compared.
         files: attachments that the metadata refers to, for example the points of a measured road; (media type, content) by
             name.
-        other_signals: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
+        other_signals: signals outside the responses, by topic: loads on the body, forces of dampers and springs, and a measured
+            log.
         diagrams: diagrams of damper and spring forces over velocity or deflection.
         active: names of the controller's states, sorted by their contribution to the force, the largest first. Viewers show
             only the first few states.
@@ -63,7 +64,7 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None unless both exist."""
+        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if either is missing."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])

@@ -105,7 +105,7 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
     """Returns the road profiles, one for each track; none for a test rig, whose posts are bodies.
 
     Args:
-        places: positions of the wheels [m], shape (r, 3).
+        places: positions of the wheels in the world [m], shape (r, 3).
         time: times of the frames [s], shape (F,).
         heights: road heights under the wheels at these times [m], shape (F, r).
     """
@@ -188,10 +188,10 @@ def record_runs(
     Args:
         command_line: command line `roadproof COMMAND ...` that repeats the runs.
         vehicle: vehicle of the runs.
-        controllers: names of the controllers, for the name of the log.
-        runs: runs, by their names in the log.
+        controllers: names of the controllers, which become part of the name of the log.
+        runs: runs to record, by their names in the log.
         result: result of the command, as printed by `--json`.
-        measured: measured signals over the time of the runs, if any.
+        measured: signals of a measured log over the time of the runs; None without a log.
 
     Returns:
         Paths of the files, as for `sim.recording.files.record`.
@@ -283,7 +283,8 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
     Args:
         run: run that MuJoCo has simulated, not a run from a log.
         name: name of the run in the log.
-        measured: measured signals over the time of the run, if any. Signals that do not exist for the vehicle are omitted.
+        measured: signals of a measured log over the time of the run; None without a log. Signals that the vehicle does not have
+            are omitted.
 
     Returns:
         Responses, metadata, events, scene and verdict of the run.

@@ -22,7 +22,7 @@ class Shape:
 
     Attributes:
         name: name of the solid, unique within its body.
-        body: name of the body that carries the solid.
+        body: name of the body to which the solid is fixed.
         form: "box", "cylinder", "capsule" or "sphere".
         half_size: half edges of a box, or (radius, half length along z, 0) of other forms [m], shape (3,).
         position: centre in the body's frame [m], shape (3,).
@@ -74,7 +74,7 @@ class Tyre:
         body: name of the body that carries the tyre. The hub is at the origin of this body.
         radius: undeformed radius [m].
         half_width: half the width of the tyre [m].
-        middle: middle of the tyre along the axle, as y in the frame of the body [m].
+        middle: y coordinate of the middle of the tyre (along the axle), in the frame of the body [m].
         height: height of the hub above the road in each frame [m], shape (F,). Above `radius`, the tyre is off the ground.
         rgba: colour from 0 to 1, shape (4,).
     """
@@ -98,9 +98,9 @@ class Track:
     """Profile of a road along one track, which moves towards the vehicle.
 
     Attributes:
-        middle: middle of the track, as y in the world [m].
-        position: positions of the points along x at time 0, ascending [m], shape (N,).
-        height: heights of the points [m], shape (N,).
+        middle: y coordinate of the middle of the track, in the world [m].
+        position: x coordinates of the points of the profile at time 0, ascending [m], shape (N,).
+        height: heights of these points [m], shape (N,).
         travelled_distance: distance by which the points have moved backwards in each frame [m], shape (F,).
         bodies: names of the pieces of road under the wheels, which other viewers show instead of the profile.
     """
@@ -118,12 +118,12 @@ class Scene:
 
     Attributes:
         time: times of the frames [s], shape (F,).
-        shapes: solids on bodies.
+        shapes: solids that are fixed to bodies.
         bodies: motion of every body that carries a solid, by name.
         springs: ends of each spring with its damper, at the wheel and at the body [m], shape (F, 2, 3), by name.
-        tyres: tyres that deform.
+        tyres: tyres, drawn with their deformation.
         forces: control forces [N], shape (F,), by name of the spring; a positive force pushes the ends of the spring apart.
-        tracks: profiles of the road.
+        tracks: profiles of the road, one for each track of the vehicle.
     """
 
     time: Array
@@ -207,8 +207,8 @@ def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
     """Returns the tail and the vector [m] of each control-force arrow by spring, shapes (F, 3).
 
     Args:
-        scene: drawing of a run.
-        largest: force of the longest arrow [N].
+        scene: drawing of a run, which contains the springs and their control forces.
+        largest: force for which the arrow has its full length [N].
     """
     drawn = {}
     for name, force in scene.forces.items():

@@ -74,10 +74,10 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
     """Returns the section about the runs: signals over time, and a table of peaks (over the bump) or metrics (over another road).
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        measured: metrics of these runs; empty if the road is the bump.
-        when: text that describes the measured time.
+        measured: metrics of each of these runs; empty if the road is the bump.
+        when: text that describes the time over which the metrics are measured.
     """
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)
@@ -129,9 +129,9 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
     """Returns the section about the difference between MuJoCo and linear analysis, and its order of convergence.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        finer: agreement of runs at half the timestep, by controller and signal.
+        finer: agreement of the runs at half the timestep, by controller and signal.
     """
     pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
@@ -197,9 +197,9 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
     """Returns the order of convergence of a difference; None if rounding, noise or geometry causes the difference.
 
     Args:
-        run: run at the timestep of the report.
+        run: simulated run at the timestep of the report.
         finer: agreement of a run at half the timestep; None if it was not simulated.
-        name: name of the signal.
+        name: name of the signal whose difference is evaluated.
         to: response from which the difference is measured, "sampled" or "continuous".
     """
     if finer is None or run.prediction.cause:

@@ -51,7 +51,7 @@ def write_reports(options: argparse.Namespace, child_processes: bool) -> int:
     """Writes the pages of all vehicles; returns the exit code.
 
     Args:
-        options: options of the command.
+        options: values of the command-line options.
         child_processes: True if child processes may compute parts of a page.
 
     Raises:
@@ -222,7 +222,7 @@ def write_gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns texts by name that state how a page was made: time, command, vehicle file and versions of packages."""
+    """Returns texts that state how a page was made, by name: time, command, vehicle file and versions of packages."""
     return {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),

@@ -76,7 +76,7 @@ def _loops(scope: Subject) -> list[Statement]:
 
 
 def _row(scope: Subject, one: Controller) -> Row:
-    """Returns the row of a linear controller for the table of designs."""
+    """Returns the row of the table of designs that belongs to a linear controller."""
     certificate, norm = one.certificate, scope.built_norms.get(one.name)
     return Row(one.name, one, (), failures_of_sampled_loop(scope.vehicle, certificate, certificate.failures, norm), sampled=norm)
 

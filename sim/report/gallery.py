@@ -26,8 +26,8 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
     """Returns the page of the gallery.
 
     Args:
-        results: entries with their compared numbers.
-        about: texts by name that state how the page was made, such as time and command.
+        results: entries of the gallery, each with its published and computed numbers.
+        about: texts that state how the page was made, such as time and command, by name.
     """
     found = summary(results)
     headline, *said = found.statements
@@ -81,9 +81,9 @@ def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> 
     """Returns a panel of a signal over time. Published peaks have the sign of the largest peak of the response.
 
     Args:
-        run: run with the signal.
+        run: run from which the signal is taken.
         peaks: published peaks of the signal in this run.
-        one: published number that defines the signal, its unit and the scale of the axis.
+        one: published number, which defines the signal, its unit and the scale of the axis.
     """
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
     some, marks = drawn_indices(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))

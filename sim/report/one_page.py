@@ -20,7 +20,7 @@ def one_page(scope: Subject) -> Report:
     """Returns the report about one road, which fits on one A4 page.
 
     Args:
-        scope: subject of the report, with a road (`own_road`).
+        scope: subject of the report, which must have a road (`own_road`).
     """
     runs = scope.runs
     compared = scores_of_runs(runs, passive_beside(runs, scope.designer.design), scope.samples, scope.run_metrics)

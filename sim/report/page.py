@@ -28,9 +28,9 @@ class Report:
     """A report: its page, and the comparison of controllers.
 
     Attributes:
-        page: whole page.
+        page: whole HTML page of the report.
         scores: scores of the controllers; the passive vehicle comes first.
-        compared_on: text that describes the roads of the comparison.
+        compared_on: text that describes the roads over which the controllers are compared.
     """
 
     page: Page
@@ -42,9 +42,9 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     """Returns the whole report.
 
     Args:
-        scope: subject of the report.
-        provenance: texts by name that state how the report was made, such as time and command.
-        begin: function that starts requests and returns a function that waits for their results, such as `Processes.begin`.
+        scope: subject of the report, with its vehicle, controllers and runs.
+        provenance: texts that state how the report was made, such as time and command, by name.
+        begin: function that starts requests and returns a function that waits for the results, such as `Processes.begin`.
         progress: callback that receives the name of each study when it begins.
     """
     # The copy of `scope` omits the cached runs, because transferring them would take long

@@ -54,7 +54,7 @@ class Processes:
         """Starts requests in their order.
 
         Args:
-            requests: requests by name.
+            requests: requests to run, by name.
             progress: callback that receives the name of the current study.
 
         Returns:

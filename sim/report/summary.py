@@ -34,11 +34,11 @@ def first_screen(
     """Returns the first section of the page: requirements (if present), and the comparison of controllers as table and bars.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        compared: scores of the controllers.
+        compared: scores of the controllers, which the table compares.
         dive: dive angle under braking [deg] by controller; empty if the vehicle cannot pitch.
-        where: text that describes the roads of the comparison, see `compared_on`.
+        where: text that describes the roads over which the controllers are compared, see `compared_on`.
     """
     more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), three_digits, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
@@ -94,9 +94,9 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
     """Returns the section that compares predictions with MuJoCo, and states up to which bump height linear analysis is valid.
 
     Args:
-        scope: subject of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        ends: bump height at which the linear regime of each controller ends.
+        ends: bump height at which the linear regime ends, for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. The section states no bump height for them.
     """
     vehicle = scope.vehicle
@@ -124,10 +124,10 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
     """Returns a text that describes the roads of the comparison: the road of the report, random roads, or the paper's bump.
 
     Args:
-        scope: subject of the report.
-        compared: scores of the controllers.
-        rides: True if controllers are compared over random roads.
-        when: text that describes the measured time on the road of the report.
+        scope: subject of the report, with its vehicle, controllers and runs.
+        compared: scores of the controllers, which the table compares.
+        rides: True if the controllers are compared over random roads.
+        when: text that describes the time over which metrics are measured on the road of the report.
     """
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:

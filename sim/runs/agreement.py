@@ -91,10 +91,10 @@ class LinearComparison:
 
     Attributes:
         prediction: linear responses of the run.
-        physics: simulated response.
+        physics: response that MuJoCo simulates.
         until: time until which linear analysis applies [s]; infinite if it applies to the whole run.
-        small: simulated response on the road with its height multiplied by `SMALL`, or None. The linear responses are
-            proportional to the height.
+        small: simulated response on the same road with its height multiplied by `SMALL`; None if it was not simulated. The
+            linear responses are proportional to the height.
     """
 
     prediction: Prediction
@@ -111,7 +111,7 @@ class LinearComparison:
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def signals(self) -> Mapping[str, SignalAgreement]:
-        """Differences of each output signal by name."""
+        """Differences of each output signal from linear analysis, by name."""
         prediction, signals = self.prediction, dict[str, SignalAgreement]()
         responses = (self.physics, prediction.sampled, prediction.continuous)
         physics, sampled, continuous = (one.until(self.until) for one in responses)
@@ -163,8 +163,8 @@ class Agreement(LinearComparison, ShownResult):
     """Verdict on one run: differences from linear analysis, as long as it applies, and checks of steps and commands.
 
     Attributes:
-        lift_off: intervals in which a tyre is off the ground [s].
-        end_times: first time of each of `REGIME_ENDS` by name [s]; infinite if it does not occur.
+        lift_off: time intervals in which at least one tyre is off the ground, each as (start, end) [s].
+        end_times: first time of each of `REGIME_ENDS` [s], by name; infinite for an end that does not occur.
         steps: comparison of all steps with the vehicle's exact equations, even after `until`; None if the vehicle has no
             equations.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
@@ -180,7 +180,7 @@ class Agreement(LinearComparison, ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the verdict, the ends of the linear regime, and the largest difference of each signal."""
+        """Document that contains the verdict, the ends of the linear regime, and the largest difference of each signal."""
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.end_times.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
         return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
@@ -274,7 +274,7 @@ def first_loose(met: RoadInput, physics: Response) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Returns the largest difference over time relative to the reference's scale; 0 if nothing moves, NaN without reference."""
+    """Returns the largest difference over time, relative to the reference's scale; 0 if nothing moves, NaN if none exists."""
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))

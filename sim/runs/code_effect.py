@@ -28,8 +28,8 @@ class CodeEffect:
     """Difference between a run with exported code and a run with the control law itself.
 
     Attributes:
-        numbers: number format of the code, see `ExportedLaw`.
-        apart: difference between the two runs at every sample, by output signal, until one of the runs diverges.
+        numbers: number format in which the code computes, see `ExportedLaw`.
+        apart: difference of each output signal between the two runs at every sample, by name, until one of the runs diverges.
         share: largest difference among all signals, each relative to the signal's scale, as long as linear analysis applies.
         signal: name of the signal with the largest difference.
         law_agrees: True if the run with the law itself agrees with the model.
@@ -49,11 +49,11 @@ class CodeEffect:
         return self.law_agrees and self.share <= MOST
 
     def peak(self, name: str) -> float:
-        """Returns the largest difference of a signal."""
+        """Returns the largest difference of a signal between the two runs."""
         return float(self.apart[name].max(initial=0.0))
 
     def rms(self, name: str) -> float:
-        """Returns the root mean square of the difference of a signal."""
+        """Returns the root mean square of a signal's difference between the two runs."""
         return float(np.sqrt(np.mean(self.apart[name] ** 2))) if len(self.apart[name]) else 0.0
 
     @property
@@ -74,7 +74,7 @@ def code_effect(
     """Returns the effect of exported code on a run.
 
     Args:
-        driver: controller that the code implements.
+        driver: controller whose control law the code implements.
         physics, law_physics: simulated responses with the code and with the law itself.
         names: names of the output signals.
         until: time until which linear analysis applies to the run with the law [s].

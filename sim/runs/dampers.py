@@ -27,9 +27,9 @@ class Shortfall:
 
     Attributes:
         rms: rms of the missing force relative to the rms of the requested force; 0 if no force was requested.
-        time: fraction of the samples at which force is missing.
+        time: fraction of the samples at which some force is missing.
         softest, hardest: smallest and largest damping coefficient [N s/m], or smallest and largest voltage [V].
-        late: like `rms`, but with the force that is missing due to the lag of the valve added; None if the valve has no lag.
+        late: value of `rms` if the force that is missing due to the lag of the valve is included; None if the valve has no lag.
     """
 
     rms: float

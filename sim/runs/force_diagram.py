@@ -22,12 +22,12 @@ PREFIX = "suspension_deflection"  # the names of suspension deflections in the b
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Line in a diagram.
+    """Line in a force diagram: a characteristic or a limit.
 
     Attributes:
         signal: name of the log signal that contains the force of this line at the actual argument.
         label, dash, width: label and style of the line.
-        force: function that returns the force [N] at arguments.
+        force: function that returns the force of this line [N] at given arguments.
     """
 
     signal: Signal
@@ -43,8 +43,8 @@ class Diagram:
 
     Attributes:
         title: title with the name of the parameter and its place.
-        over: name and unit of the argument.
-        argument, pull: signals of the argument and of the force in a log.
+        over: name and unit of the argument over which the force is drawn.
+        argument, pull: signals that contain the argument and the force in a log.
         x: function that returns the argument in a response, shape (T,).
         force: function of the argument and a response that returns the force, positive if it contracts the suspension [N],
             shape (T,).
@@ -151,7 +151,7 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
 
 
 def _suspension_suffix(deflection: str) -> str:
-    """Returns the suffix of a suspension's signal names that distinguishes this suspension from other suspensions."""
+    """Returns the suffix that distinguishes the signal names of a suspension from those of other suspensions."""
     return deflection.removeprefix(PREFIX) if deflection.startswith(PREFIX) else f"_{deflection}"
 
 

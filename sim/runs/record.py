@@ -30,12 +30,12 @@ BALANCE = Record[Energy](
 
 
 def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
-    """Returns a function that converts one of the two local checks of a run to JSON; None if the check was not made."""
+    """Returns a function that returns one of the two local checks of a run as JSON; None if the check was not made."""
     return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
 
 
 def _worst_line(run: RunResult) -> dict[str, Any] | None:
-    """Converts the largest error of the linearisation at equilibrium to JSON; None if nothing is compared."""
+    """Returns, as JSON, the largest error of the linearisation at equilibrium; None if nothing is compared."""
     if not (errors := run.line_errors):
         return None
     worst = max(errors, key=errors.__getitem__)
@@ -43,14 +43,14 @@ def _worst_line(run: RunResult) -> dict[str, Any] | None:
 
 
 def _shortfall(run: RunResult) -> dict[str, Any]:
-    """Converts the force that semi-active dampers did not supply to JSON; empty if there are no such dampers."""
+    """Returns, as JSON, the requested force that semi-active dampers did not supply; empty if there are no such dampers."""
     if not run.vehicle.dampers:
         return {}
     return {"shortfall": FEATURES.load("forces that dampers lack").shortfalls(run.vehicle, run.physics)}
 
 
 def _decay(run: RunResult) -> dict[str, Any]:
-    """Converts the modes of a free decay to JSON; empty if the run does not start from a given state."""
+    """Returns, as JSON, the modes of a free decay; empty if the run does not start from a given state."""
     if not run.vehicle.start:
         return {}
     return FEATURES.load("decay").record(run)
@@ -70,7 +70,7 @@ SIGNAL = Record[tuple[RunResult, str]](
 
 
 def controller_record(controller: AnyController) -> dict[str, Any]:
-    """Converts a controller to JSON. For a Python control law, the results of linear analysis are None."""
+    """Returns a controller as JSON. For a Python control law, the results of linear analysis are None."""
     if controller.linear is False:
         return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
     claims = Record(BOUND, NORM, PEAK, stability=lambda one: one.stability.verdict)

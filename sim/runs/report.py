@@ -174,7 +174,7 @@ def verdict(run: RunResult) -> Statement:
 
 
 def _when(run: RunResult) -> str:
-    """Returns, as text, the time until which linear analysis applies and the event after which it does not apply."""
+    """Returns a text that states until which time linear analysis applies, and which event ends its validity."""
     agreement = run.agreement
     if not math.isfinite(agreement.until):
         return "over the whole run"
@@ -200,8 +200,8 @@ def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> 
     """Returns statements about several controllers. Equal statements are merged; if their times differ, the range is given.
 
     Args:
-        said: pairs of a controller's name and a statement.
-        where: text before each statement.
+        said: pairs of the name of a controller and a statement about it.
+        where: text that precedes each statement.
     """
     pairs, alike = list(said), dict[Statement, list[tuple[str, list[str]]]]()
     few = len({name for name, _ in pairs}) <= FEW
@@ -234,7 +234,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     If a run passes and remains in the linear range, all sentences about it count as details.
 
     Args:
-        full: False to omit the details; computing them requires the linear responses.
+        full: False to omit the details, because computing them requires the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
     contact = FEATURES.load("stops that a run reaches").stop_note(run) if run.vehicle.parts.strokes else ""

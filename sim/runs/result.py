@@ -33,7 +33,7 @@ class HalfStep:
 
     Attributes:
         difference: largest difference of all signals, relative to the peak of the signal; infinite if one of the runs diverged.
-        signal: name of the signal with this difference.
+        signal: name of the signal that has this difference.
     """
 
     difference: float
@@ -45,11 +45,11 @@ class RunResult:
     """Simulated run with its prediction.
 
     Attributes:
-        prediction: linear responses for this vehicle, controller and road.
+        prediction: linear responses of the run, for its vehicle, controller and road.
         physics: response simulated by MuJoCo.
         agreement: comparison of the simulation with analysis.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None for a run without its energy balance.
-        energy: energy balance, or None if it is not computed.
+        energy: energy balance of the run; None if it is not computed.
         half_step: accuracy of the simulation after a lift-off; None if no tyre lifted off, or if the run became invalid. With
             noisy or quantised measurements, the value is also None, because noise and quantisation depend on the time step.
     """
@@ -131,7 +131,7 @@ class RunResult:
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Remarks on the run and on its road."""
+        """Warnings about the run and about its road."""
         yield from (f"controller {self.controller.name!r}: agrees is None, as {why}; {ADVICE[why]}" for why in self.undecided)
         yield from self.road.warnings
 

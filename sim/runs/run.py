@@ -47,7 +47,7 @@ class Run(RunResult, ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with the verdict, the vehicle, the road and the times."""
+        """Document that contains the verdict, the vehicle, the road and the times of the run."""
         from sim.runs.report import verdict
 
         rows = {
@@ -73,7 +73,7 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
     """Returns the sample times 0, h, 2 h, ... up to the duration [s].
 
     Args:
-        vehicle: vehicle for which RK4 must be stable.
+        vehicle: vehicle for which RK4 must be stable at this time step.
         duration: duration of the run [s].
         timestep: time step h [s].
 
@@ -144,7 +144,7 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
     """Returns MuJoCo's response of the passive vehicle from one of the runs, or from a new run.
 
     Args:
-        runs: runs over one road.
+        runs: runs of several controllers over one road.
         design: function that returns the passive controller from its name.
     """
     made, on = next((run.physics for run in runs if run.controller.name == PASSIVE), None), runs[0].prediction.input
@@ -162,7 +162,7 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
 
     Args:
         predictions: predictions over the same sample times, for vehicles of the same type.
-        recordings: recordings of the runs.
+        recordings: recordings of the simulated runs, in the order of the predictions.
     """
     effects = _code_effects(predictions, recordings)
     pairs = enumerate(zip(predictions, recordings, strict=True))
@@ -252,8 +252,9 @@ def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "R
     """Returns the driver that repeats a run: the law, or the commands if the law would respond differently at another time step.
 
     Args:
-        time: sample times of the repeated run [s]. The time step of the prediction is an integer multiple of this time step.
-        share: factor for the forces of a Python control law.
+        time: sample times of the repeated run [s]. The time step of the prediction is an integer multiple of the time step of
+            the repeated run.
+        share: factor by which the forces of a Python control law are multiplied.
     """
     if not prediction.controller.user_code and (share != 1 or not prediction.varies):
         return prediction.controller

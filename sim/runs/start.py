@@ -67,7 +67,7 @@ def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
     """Returns a remark on the effect of the start on a peak if it exceeds 2 %.
 
     Args:
-        later: True if the runs start after the beginning of the file, so that they could start earlier.
+        later: True if the runs start after the beginning of the road file, so that an earlier start is possible.
     """
     effect = start_effect(runs)
     if effect is None:

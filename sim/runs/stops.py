@@ -17,9 +17,9 @@ class Touch:
     """Deepest contact of a suspension with one of its stops.
 
     Attributes:
-        side: side of the stop, one of `SIDES`.
+        side: side of the suspension on which the stop is, one of `SIDES`.
         squeeze: compression of the stop, which is the travel beyond the free stroke [m].
-        force: force of the stop [N].
+        force: force of the stop at this compression [N].
         time: time of the deepest contact [s].
     """
 

@@ -28,7 +28,7 @@ class _Trace:
     """One signal of one run over a part of the time.
 
     Attributes:
-        run: the run.
+        run: run to which the signal belongs.
         name: name of the signal.
         bounded: True if the run remains valid and its loop is not unstable.
         line: linear response; up to the end of the linear regime if the run is not bounded.
@@ -117,8 +117,8 @@ def history_panels(
 
     Args:
         runs: runs over one road.
-        looks: styles of the controllers by name.
-        during: part of the time that is drawn [s]; None for the whole time.
+        looks: colour and line style of each controller, by name.
+        during: start and end of the part of the time that is drawn [s]; None for the whole time.
         measured: measured signals over the time of the runs, if any.
     """
     panels = []
@@ -197,7 +197,7 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
     run.
 
     Args:
-        where: text about the road, which follows "over".
+        where: text that describes the road and follows the word "over".
         measured: measured signals over the time of the runs, if any.
     """
     looks = styles(tuple(run.controller.name for run in runs))

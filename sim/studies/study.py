@@ -50,12 +50,12 @@ class Study(Generic[R]):
     attributes.
 
     Attributes:
-        name: name of the study in `STUDIES`.
+        name: name of the study in the registry `STUDIES`.
         description, epilog: texts of `--help`. The epilog contains exit codes and examples.
-        page: documentation page about the printed output.
+        page: documentation page that explains the printed output.
         takes: "one" if the command needs one linear controller, "several" if it accepts any controllers, "" if it uses no
             vehicle.
-        usual: default of `--controller` for a command that takes several controllers.
+        usual: default value of `--controller` for a command that takes several controllers.
         details: details that `-v` omits if they do not fit on a screen; empty if they always fit.
         stages: names of the stages that `run` passes to `progress`.
         seconds: approximate duration of the longest request of a report [s]. Long requests start first.
@@ -85,7 +85,7 @@ class Study(Generic[R]):
         """Returns the vehicle to study.
 
         Args:
-            given: vehicle of the vehicle file.
+            given: vehicle that the vehicle file describes.
             names: names of the requested controllers.
         """
         return given.with_common_actuators(names)
@@ -165,7 +165,7 @@ class Study(Generic[R]):
         """Returns the sections of this study in the report: by default the results, which must then be documents.
 
         Args:
-            scope: subject of the report.
-            results: results of all studies, by name of the study and subject of the request.
+            scope: subject of the report, with its vehicle, controllers and runs.
+            results: results of all studies, by the name of the study and the subject of the request.
         """
         return [*results.get(self.name, {}).values()]

@@ -37,14 +37,14 @@ class Subject:
     loop*, which includes `[limits]` and `[implementation]` of the vehicle file.
 
     Attributes:
-        vehicle: the vehicle.
-        designer: designer of the controllers.
+        vehicle: vehicle that the report describes.
+        designer: object that designs the controllers for the vehicle.
         controllers: controllers of the report with a linear law.
         timestep: timestep of the simulation [s].
         quick: True to omit margins, map and ride.
-        laws: controllers of the report without linear analysis: laws in Python and semi-active laws.
+        laws: controllers of the report to which linear analysis does not apply: laws in Python and semi-active laws.
         front: axes of a trade-off in the syntax of `--front`; None if no trade-off is requested.
-        loads: loads on the body on a flat road.
+        loads: loads that act on the body on a flat road.
         exported_controller: controller with exported code; None if there is no exported code.
         own_road: road of the report; None for the paper's bump.
         road_name: name of the road as the user gave it.
@@ -86,7 +86,7 @@ class Subject:
 
     @cached_property
     def runs(self) -> list[Run]:
-        """Runs of all controllers over the road."""
+        """Runs of all controllers over the road of the report."""
         return run_controllers(self.vehicle, self.driven_controllers, self.road, self.time)
 
     @cached_property

@@ -27,7 +27,7 @@ class CodeDriver:
     """Exported code of N runs, each with its own state.
 
     The code computes the commands. The parts of the forces that limits and dampers cut off are computed by the law itself, from
-    the code's measurements and states. These lost forces are recorded as in a run with the law.
+    the code's measurements and states. These lost forces are recorded as in a run in which the law itself computes the forces.
     """
 
     ahead = 0

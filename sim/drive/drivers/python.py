@@ -35,14 +35,14 @@ class PythonDriver:
         """Prepares the controller of the runs.
 
         Args:
-            failures: dictionary that receives failures, whose runs continue without forces; None to raise them.
+            failures: dictionary that receives the failures of the law, whose runs continue without forces; None to raise them.
             numbers: keys of the N runs in `failures`.
         """
         self._controller, self._failures, self._numbers = controller, failures, numbers
         self.measured = controller.measured
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """Executes the file of the law for each run. See `Driver.start`.
+        """Executes the file of the law once for each run. See `Driver.start`.
 
         Raises:
             InputError: a law fails, and failures are not collected. `step` raises the same error.
@@ -80,7 +80,7 @@ class PythonDriver:
         return forces, state
 
     def _failed(self, error: InputError, runs: Sequence[int], together: bool = False) -> None:
-        """Records that the law of given runs has failed, or raises the error if failures are not collected."""
+        """Records that the law has failed in the given runs, or raises the error if failures are not collected."""
         if self._failures is None:
             raise error
         self._gone[runs] = True

@@ -30,15 +30,16 @@ class DescribingFunction:
     """Describing function of one controller. Each frequency has its own MuJoCo run.
 
     Attributes:
-        controller: the controller.
+        controller: controller whose law is measured.
         outputs: names of the p output signals.
         units: units of the signals.
-        omega: frequencies [rad/s], shape (F,).
-        diverged: time at which each run diverged [s], shape (F,); infinite if it did not. A run that diverged is not measured.
+        omega: frequencies of the sinusoidal roads [rad/s], shape (F,).
+        diverged: time at which each run diverged [s], shape (F,); infinite for a run that did not diverge. A diverged run is
+            not measured.
         law_diverged: True for each run that diverged only because the states of the law overflowed, shape (F,).
         measured: complex amplitude of the fundamental per road velocity under the first wheel, shape (F, p).
         outside: share of each output's energy that is not in the fundamental, shape (F, p); NaN if the output does not move.
-        gains: L2 gains from w to z, shape (F,).
+        gains: L2 gain from w to z at each frequency, shape (F,).
         drift: largest relative change of a fundamental between consecutive periods of the lowest frequency.
         without: text that names the noise and quantisation which the vehicle file contains but these runs omit; empty if the
             runs omit nothing.
@@ -110,8 +111,8 @@ def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, ome
     """Returns the fundamental of each output per road velocity, and the share of its energy at other frequencies, shapes (p,).
 
     Args:
-        vehicle: the vehicle.
-        units: units of the outputs.
+        vehicle: vehicle of the run.
+        units: units of the p outputs.
         response: response over an integer number of periods.
         omega: frequency of the road [rad/s].
     """

@@ -51,9 +51,9 @@ class MinimumLoad:
     Attributes:
         tyre: name of the tyre deflection signal.
         ratio: predicted minimum over all frequencies for the implemented (sampled-data) loop; never below 0.
-        omega: frequency of this minimum [rad/s].
-        driven: predicted minimum at the nearby frequency of the MuJoCo run; may be negative.
-        measured: minimum in the MuJoCo run.
+        omega: frequency of the plate at this minimum [rad/s].
+        driven: predicted minimum at the frequency of the MuJoCo run, which is near `omega`; may be negative.
+        measured: minimum ratio in the MuJoCo run.
         allowed: allowed difference between `driven` and `measured`. The difference is not limited (infinite) for vehicles with
             nonlinear springs or dampers, because the prediction uses their linearisation.
         ended: names of the limits that were reached and so ended the linear regime.
@@ -80,7 +80,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     """Predicts and measures the minimum load of all wheels.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
         timestep: timestep of the simulation [s].
 
@@ -104,8 +104,8 @@ class Plate(Road):
 
     Attributes:
         wheel: name of the wheel's road signal.
-        omega: frequency [rad/s].
-        stroke: amplitude [m].
+        omega: frequency of the plate [rad/s].
+        stroke: amplitude of the plate [m].
     """
 
     wheel: str
@@ -159,10 +159,10 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
     The equivalent deflection of a tyre with damping is the deflection that would cause its whole force.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         wheel: index of the wheel.
-        omega: frequencies [rad/s], shape (F,).
+        omega: frequencies of the plate [rad/s], shape (F,).
         timestep: timestep of the simulation [s].
         exponential: function that computes the matrix exponential, either exactly or with the approximation of RK4.
     """
@@ -198,7 +198,7 @@ def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float
         run: MuJoCo run on the plate at a frequency near `omega`.
         wheel: index of the wheel.
         omega: predicted frequency of the minimum [rad/s].
-        static: static deflection of each tyre [m].
+        static: deflection of each tyre under the static load [m].
     """
     vehicle, controller, tried, timestep = run.vehicle, run.controller, run.on.omega, run.timestep
     assert controller.linear is True, "minimum loads are those of linear laws"

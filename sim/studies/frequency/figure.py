@@ -43,12 +43,12 @@ def sweep_figure(
     """Returns the figure of magnitudes over frequency, with a panel for each weighted signal that responds to the road.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose responses are drawn.
         sweeps: frequency responses of linear controllers.
         timestep: timestep of the simulation [s].
-        speed: forward velocity [m/s].
-        style: colour and line style of each controller.
-        own: describing functions of nonlinear laws, which are drawn as points without a line.
+        speed: forward velocity of the vehicle [m/s].
+        style: colour and line style of each controller, by name.
+        own: describing functions of the nonlinear laws, which the figure shows as points without a line.
     """
     how = vehicle.implementation
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]

@@ -48,8 +48,8 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
     """Returns the gain ||z|| / ||w|| over a sinusoidal road, after transients have decayed.
 
     Args:
-        vehicle: the vehicle.
-        response: response over an integer number of periods.
+        vehicle: vehicle of the run, with the weights of z.
+        response: response over an integer number of periods of the road.
         omega: frequency of the road [rad/s].
     """
     sides, shape = _sides(vehicle, response, periodic=True), 1.0
@@ -136,10 +136,10 @@ class Lines:
     All responses are complex, with a row per frequency and a column per output, shape (F, p).
 
     Attributes:
-        controller: the controller.
+        controller: controller of the measured loop.
         outputs: names of the p output signals.
         units: units of the signals.
-        omega: frequencies [rad/s], shape (F,).
+        omega: frequencies at which the responses are measured [rad/s], shape (F,).
         measured: response measured in MuJoCo.
         sampled: exact response of the implemented (sampled-data) loop.
         integrated: response of this loop if RK4 integrates it.

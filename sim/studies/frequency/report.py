@@ -146,10 +146,10 @@ def describe(
     """Returns the document about frequency responses and gains.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose responses are described.
         lines: frequency responses of the linear controllers.
         sweeps: sweeps of the same controllers; empty if only frequency responses were measured.
-        own: describing functions of nonlinear laws.
+        own: describing functions of the nonlinear laws.
         amplitude: largest height of the roads [m].
         timestep: timestep of the simulation [s].
     """

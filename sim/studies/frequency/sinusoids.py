@@ -50,7 +50,7 @@ class PeriodicRoad:
     """A periodic road, and the method by which the end of a run over this road is evaluated.
 
     Attributes:
-        road: the road.
+        road: periodic road over which the run drives.
         omega: frequencies of the road [rad/s], shape (F,).
         samples: number of samples in the whole periods at the end of the run.
         fitted: True to fit lines and free motion to these periods; False to use the signals themselves, in which free motion must
@@ -69,7 +69,7 @@ class PeriodicRun:
 
     Attributes:
         vehicle, controller: vehicle and controller of the run.
-        on: the periodic road.
+        on: periodic road of the run, and the method of evaluation.
         response: signals of the run, shape (T, S).
     """
 
@@ -128,7 +128,7 @@ def drive_periodic(
     Args:
         vehicle: vehicle in equilibrium, without noise and quantisation.
         controllers: N controllers; the loops of linear controllers must be stable.
-        roads: N roads.
+        roads: periodic roads of the N controllers.
         timestep: timestep of the simulation [s].
 
     Raises:
@@ -216,7 +216,7 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
 
     Args:
         periods: number of periods at the end of the run.
-        count: number of samples in these periods.
+        count: total number of samples in these periods.
         height: height from trough to crest [m].
         timestep: timestep of the simulation [s].
         speed: forward velocity [m/s].
@@ -241,8 +241,8 @@ def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
     """Returns the settling time over a periodic road [s], and the discrete poles of the motion that remains after this time.
 
     Args:
-        loop: the loop.
-        left: relative size of free motion at the end of the settling time.
+        loop: loop of the vehicle that drives over the road.
+        left: size of the free motion at the end of the settling time, relative to its initial size.
     """
     poles = np.linalg.eigvals(loop.closed_loop.A)
     slow = poles[np.abs(poles) > left ** (loop.period / PATIENCE)]
@@ -271,7 +271,7 @@ def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Ar
     samples, a decaying mode and a line differ clearly.
 
     Args:
-        loop: the loop.
+        loop: loop of the vehicle that drives over the road.
         response: end of the run, long enough to separate modes and lines.
         poles: discrete poles of the slow modes per sample period.
         turns: phase advance of each line per sample period [rad], shape (L,).

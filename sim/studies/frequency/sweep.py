@@ -72,7 +72,7 @@ class Sweep:
 
     @property
     def gains(self) -> dict[str, float]:
-        """L2 gains from w to z by road."""
+        """L2 gains from w to z, by name of the road."""
         return {**self.extremes.gains, **({} if self.lines.gain is None else {"chirp": self.lines.gain})}
 
 
@@ -182,11 +182,11 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
     """Returns a list with one text if the gain over a road is not between `low` and `high`; otherwise an empty list.
 
     Args:
-        road: name of the road.
-        gains: gains by name of the road.
-        what: name of the reference value, for the text.
-        value: reference value.
-        low, high: allowed range.
+        road: name of the road whose gain is checked.
+        gains: measured gain over each road, by name of the road.
+        what: name of the reference value in the text.
+        value: reference value, which the text states.
+        low, high: smallest and largest allowed gain.
     """
     if low <= gains[road] <= high:
         return []

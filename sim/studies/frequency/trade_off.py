@@ -67,11 +67,11 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
     """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if it cannot be measured.
 
     Args:
-        scope: subject of the report.
-        trade_off: the front.
-        i: index of the design.
-        axis: axis of the front, which defines the norm.
-        turn: largest phase advance of the sinusoid in one timestep [rad].
+        scope: subject of the report, with its vehicle, controllers and runs.
+        trade_off: computed front of designs.
+        i: index of the design on the front.
+        axis: objective on one axis of the front, which defines the norm.
+        turn: largest allowed phase advance of the sinusoid in one timestep [rad].
     """
     controller, k = trade_off.points[i].controller, trade_off.axes.index(axis)
     norm = trade_off.points[i].norms[k]
@@ -97,9 +97,9 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
 
     Args:
         vehicle: vehicle with the outputs of the norm.
-        controller: the controller.
-        norm: value of the norm.
-        at: frequency at which the norm is reached [rad/s]; may be 0.
+        controller: controller that closes the loop.
+        norm: value of the H-infinity norm.
+        at: frequency at which the loop reaches the norm [rad/s]; may be 0.
     """
     if at >= SLOW[0]:
         return at

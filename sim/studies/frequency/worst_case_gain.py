@@ -51,9 +51,9 @@ class MeasuredInvariant:
     """A transmissibility from the road height that no suspension force can change, see `models.kinds.kind.Invariant`.
 
     Attributes:
-        name: name of the quantity.
-        omega: frequency [rad/s].
-        expected: expected magnitude.
+        name: name of the quantity whose transmissibility is measured.
+        omega: frequency of the invariant [rad/s].
+        expected: magnitude that the transmissibility must have.
         measured: magnitude in MuJoCo.
         allowed: allowed relative difference, twice (omega h)^2 / 24. The error (omega h)^2 / 24 arises because MuJoCo holds the
             road over a timestep h.
@@ -182,8 +182,8 @@ def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: fl
     """Returns the gain from w to z over a sinusoidal road, including the harmonics due to held forces.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         omega: frequency of the road [rad/s].
         h: timestep [s].
         speed: forward velocity [m/s].

@@ -109,7 +109,7 @@ NUMBERS, REASONS = (Subsection("", (one,), "a table in double brackets") for one
 
 @dataclass(frozen=True)
 class Entry(Section):
-    """An entry of the gallery: a source and its published numbers."""
+    """An entry of the gallery: a source and the numbers that it published."""
 
     name: Annotated[str, Text("name of its folder")]
     title: Annotated[str, Text("title of the publication")]

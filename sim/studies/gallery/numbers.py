@@ -36,9 +36,9 @@ class ComparedNumber:
     """A published number, and the same number computed by Roadproof. All values have the unit of the source.
 
     Attributes:
-        printed: published number.
-        exact: value from linear analysis.
-        mujoco: value in a MuJoCo run; None if the number cannot be measured in a run.
+        printed: number as the source published it.
+        exact: value that linear analysis gives.
+        mujoco: value that is measured in a MuJoCo run; None if the number cannot be measured in a run.
         grid: value from linear analysis at the sample times of the source; None if these are unknown.
     """
 
@@ -49,7 +49,7 @@ class ComparedNumber:
 
     @property
     def verdict(self) -> str:
-        """Verdict of the comparison.
+        """Verdict on the comparison of published and computed number.
 
         - `REPRODUCED`: the exact value rounds to all published digits.
         - `ON_ITS_GRID`: the value at the source's sample times rounds to all published digits, and no reason for a difference is
@@ -151,7 +151,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
     """Returns a function that computes a metric of a signal's step response in the continuous loop.
 
     Args:
-        key: name of the metric, one of `OF_A_STEP`.
+        key: name of the step-response metric, one of `OF_A_STEP`.
     """
 
     def found(designer: Designer, one: PrintedNumber) -> float:

@@ -37,7 +37,8 @@ def allowed_results(of: Identification, names: Sequence[str] = ()) -> list[Allow
     """Returns the results of controllers over the vehicles that are consistent with the logs.
 
     Args:
-        names: names of controllers with a linear law; by default all such controllers of the vehicle file except `state`.
+        names: names of controllers with a linear law; by default all controllers of the vehicle file with a linear law, except
+            `state`.
     """
     from synth.analysis.bounding import certify_tightly
     from synth.controller.law_margins import law_margins

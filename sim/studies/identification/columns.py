@@ -48,8 +48,8 @@ class ColumnGuess:
     """A column that seems to contain a signal.
 
     Attributes:
-        signal: name of the signal.
-        column: heading to write in the map, with a unit.
+        signal: name of the signal that the column seems to contain.
+        column: heading of the column to write in the map, with a unit.
         warning: warning about a guessed unit; empty if the heading contains the unit.
     """
 

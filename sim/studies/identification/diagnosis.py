@@ -55,7 +55,7 @@ class Cause:
     Attributes:
         words: text that states the cause and its size.
         share: share of the sum of squares of all residuals that the cause explains.
-        deviations: size of the cause in standard deviations.
+        deviations: size of the cause, divided by the standard deviation of this size.
     """
 
     words: str

@@ -28,9 +28,9 @@ class Channel:
     """Measured signal of an experiment.
 
     Attributes:
-        signal: name of the vehicle's signal.
+        signal: name of the vehicle's signal that is measured.
         values: measured values in SI units, shape (T,); NaN for a missing or unusable value.
-        noise: rms of the sensor's noise, in the signal's unit; None if it is estimated.
+        noise: rms of the sensor's noise, in the unit of the signal; None if the rms is estimated.
         delay: delay of the sensor [s], or the initial value of a delay that is estimated.
         delay_estimated: True if the delay is estimated.
         offset_estimated: True if a constant offset is estimated.
@@ -55,11 +55,11 @@ class Experiment:
 
     Attributes:
         name: name of the log, followed by the name of the stretch if the log has several.
-        step: time between samples [s].
+        step: time between two samples [s].
         road: road heights under the r wheels [m], shape (T, r); with `hubs`, vertical accelerations of the r hubs [m/s2]. Values
             are interpolated linearly between samples.
         forces: control forces [N], shape (T, m).
-        channels: measured signals.
+        channels: measured signals, one for each sensor.
         added: additions to parameters of the vehicle file, such as a payload, by name [SI].
         from_rest: True if the vehicle starts in equilibrium on the first road height; False if the starting state is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.

@@ -61,14 +61,14 @@ class Identification:
     """Result of an identification.
 
     Attributes:
-        estimate: the estimate.
+        estimate: estimated parameters with their covariance.
         intervals: 95 % interval of each free parameter that the logs determine by itself, by name.
         causes: causes of a misfit in the residuals.
-        remarks: remarks on logs and columns.
+        remarks: remarks on the logs and their columns.
         mirror: parameter values of a second solution that fits equally well, by name; empty if none is known.
-        held_out: fit of each signal in logs that were not used for the estimate, by experiment.
-        in_mujoco: largest difference between MuJoCo and the prediction relative to the peak, by signal; empty if nothing was
-            simulated.
+        held_out: fit of each signal in the logs that were not used for the estimate, by experiment.
+        in_mujoco: largest difference of each signal between MuJoCo and the prediction, relative to the peak of the signal;
+            empty if nothing was simulated.
         allowed: results of controllers over the vehicles that are consistent with the logs, if requested.
     """
 
@@ -169,13 +169,13 @@ def identify(
     """Identifies the parameters of a vehicle from logs.
 
     Args:
-        logs: files of logs; see `sim.studies.identification.reading` for their formats.
+        logs: paths of the log files; see `sim.studies.identification.reading` for their formats.
         vehicle: vehicle with the initial values. Everything that is not free stays unchanged.
         log_map: map from columns to signals; None for logs whose headings are names of signals.
-        fix: parameters that keep their values.
-        free: further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
+        fix: names of parameters that keep their initial values.
+        free: names of further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
         hold_out: logs that are predicted for comparison, but not used for the estimate.
-        seed: random seed of further starting points.
+        seed: random seed from which further starting points are drawn.
 
     Raises:
         InputError: a file is wrong, a column seems to have another unit or sign, or the logs determine no parameter.

@@ -97,10 +97,10 @@ class LogMap:
     """A map that was read.
 
     Attributes:
-        keys: keys for all logs.
+        keys: keys that apply to all logs.
         sensors: section of each signal in the map, by name.
-        known: known combinations of parameters.
-        of_logs: keys that apply to single logs, by file name.
+        known: combinations of parameters that are known from elsewhere.
+        of_logs: keys that apply to one log only, by file name of this log.
         source: path of the map; empty if there is no map file.
     """
 

@@ -35,9 +35,10 @@ class ChirpPlan:
 
     Attributes:
         duration: length of the chirp [s].
-        low, high: frequencies at the start and at the end [Hz].
+        low, high: frequencies of the chirp at its start and at its end [Hz].
         amplitude: amplitude of the post's motion [m].
-        deviations: relative standard deviation of each parameter; infinite if the chirp does not determine the parameter.
+        deviations: predicted relative standard deviation of each parameter; infinite if the chirp does not determine the
+            parameter.
     """
 
     duration: float

@@ -72,7 +72,7 @@ class LogPrediction:
     """Predictor of an experiment's signals for any values of the parameters.
 
     Args:
-        experiment: the experiment.
+        experiment: experiment whose signals are predicted.
         vehicle: function that returns the vehicle for given parameter values, by name.
     """
 
@@ -123,9 +123,9 @@ class LogPrediction:
 
         Args:
             values: values of all parameters [SI].
-            free: typical sizes, by name, of the p parameters with respect to which the signals are differentiated.
-            start: state at the start, shape (n,); None for equilibrium.
-            delays: delay of each channel [s].
+            free: typical size of each of the p parameters with respect to which the signals are differentiated, by name.
+            start: state of the vehicle at the start, shape (n,); None for equilibrium.
+            delays: delay of the sensor of each channel [s].
             derivatives: False if derivatives are not needed; they are then empty or zero.
         """
         if self.vehicle(values).parts.nonlinear:
@@ -160,9 +160,9 @@ class LogPrediction:
         """Returns the measurement of each channel at each sample, from [x; v; v'] at the last sample before the delayed time.
 
         Args:
-            rows: row of each channel, shape (q, n + 2 v).
-            x: states, shape (T, n).
-            driven: False if there are no inputs.
+            rows: row of each channel, by which [x; v; v'] is multiplied, shape (q, n + 2 v).
+            x: states at the samples, shape (T, n).
+            driven: False if no inputs act.
         """
         h, n, values = self.experiment.step, x.shape[1], np.empty((len(x), len(rows)))
         for i, (row, delay) in enumerate(zip(rows, delays, strict=True)):

@@ -325,7 +325,7 @@ def _slow(road: Array, step: float, late: float) -> list[str]:
     """Returns a remark if most of the road's motion is too fast for the sampling.
 
     Args:
-        late: largest error of the times [s].
+        late: largest error of the sample times [s].
 
     Raises:
         InputError: the error of the times is so large that the phase of the road is not known.

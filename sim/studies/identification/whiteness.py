@@ -18,9 +18,9 @@ class Whiteness:
     Attributes:
         correlations: autocorrelation from lag 1 on, shape (LAGS,).
         bound: limit such that 95 % of the correlations of white residuals are between -bound and bound.
-        outside: share of the correlations outside this range.
+        outside: share of the correlations that are outside this range.
         probability: probability that white residuals have correlations at least this large (Ljung and Box, 1978).
-        samples: number of residuals.
+        samples: number of residuals that were tested.
     """
 
     correlations: Array
@@ -64,8 +64,8 @@ class Autoregressive:
     """Autoregressive model of residuals e: e[k] + a1 e[k-1] + ... = w[k] with white noise w.
 
     Attributes:
-        coefficients: 1, a1, a2, ..., shape (order + 1,).
-        deviation: rms of w.
+        coefficients: coefficients 1, a1, a2, ... of the model, shape (order + 1,).
+        deviation: rms of the white noise w.
     """
 
     coefficients: Array

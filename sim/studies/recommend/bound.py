@@ -44,7 +44,7 @@ def least_rms(plant: Plant, hold: Sequence[HoldInterval], noise: Sequence[float]
 
     Args:
         plant: continuous plant with n states, m inputs, q measurements.
-        hold: parts of the period, each with the delay of the force that acts in it.
+        hold: parts of the sample period, each with the delay of the force that acts during this part.
         noise: rms of the measurement noise v, which is independent at each sample, shape (q,).
 
     Raises:

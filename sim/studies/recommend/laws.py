@@ -40,8 +40,8 @@ class BodySensors(NamedTuple):
 
     Attributes:
         velocities, accelerations: names of q velocity sensors and p accelerometers.
-        over: matrix from measured and integrated velocities to the velocities above the suspensions, shape (m, q + p).
-        travels: name of the measured deflection at each force; an empty name if it is not measured.
+        over: matrix that maps measured and integrated velocities to the velocities above the suspensions, shape (m, q + p).
+        travels: name of the measured suspension deflection at each force; an empty name if this deflection is not measured.
     """
 
     velocities: list[str]

@@ -54,7 +54,7 @@ def searched(task: Task) -> list[str]:
 
 
 def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehicle:
-    """Returns the linear vehicle with these weights and the actuators' lag; `delayed` adds a lag for delay and hold."""
+    """Returns the linear vehicle with these weights and the lag of the actuators; `delayed` adds a lag for delay and hold."""
     line, how, lag = task.line, task.line.implementation, task.line.limits.actuator_bandwidth
     late = (how.delay + 0.5) * (how.sample_period or task.timestep) if delayed and not how.undelayed else 0.0
     bandwidth = 1 / (late + (1 / lag if lag else 0.0)) if late or lag else None
@@ -80,7 +80,7 @@ def design(task: Task, name: str, measured: Sequence[str], weights: Weights, met
     """Returns the controller of a method for these weights.
 
     Args:
-        weights: powers of e of the weights, and `SHARE` for H-infinity, by name.
+        weights: natural logarithm of each weight, relative to its typical value, and `SHARE` for H-infinity, by name.
         method: `LQG`, "full" (full-order H-infinity), "" (static, by the two-step method), a number of states, or "preview".
 
     Raises:

@@ -47,8 +47,8 @@ class Rating:
     """Metrics of a candidate, and how close the candidate comes to each limit.
 
     Attributes:
-        values: metrics in the comparison of controllers, by key [SI]; None if the vehicle lacks the metric or a run was aborted.
-        usage: quantities to compare with the limits.
+        values: values of the compared metrics, by key [SI]; None if the vehicle does not have the metric or a run was aborted.
+        usage: quantities of the candidate that are compared with the limits.
     """
 
     values: Mapping[str, float | None]
@@ -63,7 +63,7 @@ class Rating:
         """Returns the value that the goal minimises, plus a penalty for exceeded limits.
 
         Args:
-            factors: factors by which the used share of each limit is multiplied, by name; 1 if not given.
+            factors: factor by which the used share of each limit is multiplied, by name of the limit; 1 for other limits.
         """
         used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
         usual = task.passive_values.get(GOALS[task.goal]) or 1.0

@@ -75,7 +75,7 @@ def recommendation(task: Task, progress: Callable[[str], None]) -> Recommendatio
     """Returns the recommendation for a task. After Ctrl-C, it contains only the candidates found so far.
 
     Args:
-        progress: function that receives each line of progress.
+        progress: function that receives lines about the progress.
     """
     work = _Work(task, progress)
     try:

@@ -35,10 +35,10 @@ class RankedContender:
     """A ranked candidate.
 
     Attributes:
-        candidate: controller and vehicle of the row.
-        rating: rating in MuJoCo, or the expected rating if the candidate was not simulated.
+        candidate: ranked candidate, with its controller and vehicle.
+        rating: rating of the candidate in MuJoCo, or the expected rating if the candidate was not simulated.
         driven: True if the candidate was simulated in MuJoCo.
-        used: used share of each limit, including the reserve, by name; 1 at the limit.
+        used: used share of each limit, including the reserve, by name; 1 if the limit is just reached.
     """
 
     candidate: Contender
@@ -69,12 +69,12 @@ class Recommendation(ShownResult):
     """Ranked candidates for a vehicle on a road.
 
     Attributes:
-        task: task of the recommendation.
+        task: task for which the controllers are recommended.
         rows: best candidate of each family; candidates that keep all limits come first.
         sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no law keeps the
             limits.
         bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
-        left_out: omitted families and controllers of the file, by name, each with the reason.
+        left_out: reason for the omission of each omitted family or controller of the file, by name.
         reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
         interrupted: True if the search was interrupted.
     """
@@ -116,13 +116,13 @@ class Recommendation(ShownResult):
         return row.rating.value(self.task) / usual - 1 if usual and row is not self.passive else None
 
     def measured(self, row: RankedContender) -> list[str]:
-        """Returns the groups of the sensors that a candidate measures."""
+        """Returns the groups of sensors whose signals a candidate measures."""
         names = row.candidate.controller.measured if row.candidate.controller.acts else ()
         return [group for group, signals in self.task.groups.items() if {*signals} & {*names}]
 
     @property
     def summary(self) -> Document:
-        """The ranked table with its explanation."""
+        """Document that contains the ranked table and its explanation."""
         ranked = table(self)
         return Document("", (ranked, Document("", (verdict(self, self.best), *notes(*explanations(self, len(ranked.rows)))))))
 

@@ -39,11 +39,11 @@ class Family:
     """A family of candidates that differ only in a few numbers.
 
     Attributes:
-        name: name of the family.
+        name: name of the family in the table.
         start: point at which the search begins, shape (k,).
-        build: function that returns the candidate for a point.
-        evaluations: number of points that are evaluated.
-        factors: ratio of the used share in MuJoCo to the expected used share, for each limit.
+        build: function that returns the candidate for a point of the search.
+        evaluations: number of points that a search evaluates.
+        factors: ratio of the used share in MuJoCo to the expected used share, by name of the limit.
         rated: stable candidates, each with its rating and point.
         failure: reason why the last failed candidate could not be designed; empty if none failed.
     """

@@ -39,12 +39,12 @@ class Task:
     """Task of a recommendation.
 
     Attributes:
-        vehicle: vehicle of the file.
+        vehicle: vehicle that the vehicle file describes.
         road: road to drive over; a random road has seed 0.
         goal: quantity to minimise: "ride", "holding" or "travel".
         within: limits that a candidate must keep.
         timestep: timestep of MuJoCo [s].
-        effort: number of evaluated candidates relative to the usual number.
+        effort: number of candidates to evaluate, relative to the usual number.
     """
 
     vehicle: Vehicle
@@ -201,10 +201,10 @@ class Contender:
 
     Attributes:
         name: name of the candidate's family, as in the table.
-        controller: controller of the candidate.
+        controller: controller that the candidate uses.
         vehicle: vehicle that is controlled; a passive candidate has another damper and spring.
-        setting: text with the numbers of the candidate.
-        own: True for a controller of the file.
+        setting: text that states the parameter values of the candidate.
+        own: True for a controller that the vehicle file already contains.
     """
 
     name: str

@@ -24,7 +24,7 @@ class Usage(NamedTuple):
         gain_margin: smallest factor, up or down, on all forces at which the loop becomes unstable; at most `MOST_GAIN`.
         disk: symmetric disk margin, from 0 to 2.
         off_ground: share of the time in which a tyre does not touch the ground.
-        passive_off_ground: the same share of time for the passive vehicle; every candidate may reach this share.
+        passive_off_ground: value of `off_ground` for the passive vehicle; every candidate may reach this share.
     """
 
     stroke: float
@@ -40,7 +40,7 @@ class Within(CheckedFields):
     """Limits on a recommended controller; None for a limit that is not used.
 
     Attributes:
-        stroke, force: largest allowed share of the stroke, and of the largest force.
+        stroke, force: largest share of the stroke, and of the largest force, that a controller may use.
         gain_margin: smallest allowed gain margin, as a factor: the loop must be stable if all forces are multiplied or divided
             by a smaller factor.
         disk: smallest allowed symmetric disk margin.

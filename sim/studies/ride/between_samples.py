@@ -40,7 +40,7 @@ class Pieces:
     Attributes:
         start: start of each piece [s], shape (K,).
         length: length of each piece [s], shape (K,).
-        values: values at equidistant points of each piece, including both ends, shape (K, d + 1).
+        values: values of the signal at equidistant points of each piece, including both ends, shape (K, d + 1).
     """
 
     start: Array
@@ -75,7 +75,7 @@ class Pieces:
         return replace(later, start=later.start - time)
 
     def rms(self) -> float:
-        """Returns the root mean square over all pieces."""
+        """Returns the root mean square of the signal over all pieces."""
         points = self.values.shape[1]
         nodes, weights = np.polynomial.legendre.leggauss(points)
         at_nodes = self.values @ (chebyshev.chebvander(nodes, points - 1) @ _fit(points)).T
@@ -90,7 +90,7 @@ class Pieces:
         return float(self.start[k] + self.length[k] * (x + 1) / 2)
 
     def at(self, times: Array) -> Array:
-        """Returns the values at times [s], with the shape of `times`."""
+        """Returns the values of the signal at given times [s], with the shape of `times`."""
         after = np.searchsorted(self.start, times + ROUNDING * self.length[0], side="right")
         k = np.clip(after - 1, 0, len(self.start) - 1)
         x = 2 * (times - self.start[k]) / self.length[k] - 1
@@ -99,7 +99,7 @@ class Pieces:
         return (chebyshev.chebvander(x, points - 1) * coefficients).sum(axis=-1)
 
     def largest(self) -> tuple[float, float]:
-        """Returns the largest value and its time [s]."""
+        """Returns the largest value of the signal, and the time of this value [s]."""
         most, spread = self.values.max(axis=1), np.ptp(self.values, axis=1)
         floor, first = float(most.max()), int(most.argmax())
         possible = np.flatnonzero(most + BULGE * spread >= floor)
@@ -108,7 +108,7 @@ class Pieces:
         return max([found, *map(self._largest_in, likeliest)], key=lambda one: one[0])
 
     def last_above(self, value: float) -> float | None:
-        """Returns the last time [s] at which the magnitude exceeds a value.
+        """Returns the last time [s] at which the magnitude of the signal exceeds a value.
 
         The time is infinite if the magnitude exceeds the value at the end of the signal. The result is None if the magnitude
         never exceeds the value.
@@ -165,7 +165,7 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     only a few steps apart, the steps until the last wheel has passed them are divided into shorter pieces.
 
     Args:
-        run: the run.
+        run: run whose signals are returned.
         signals: names of the signals.
     """
     if run.vehicle.dampers:
@@ -192,9 +192,9 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     """Returns signals of the continuous response over the first steps of a run.
 
     Args:
-        run: the run.
+        run: run whose signals are returned.
         signals: names of the signals.
-        steps: number of timesteps.
+        steps: number of timesteps at the start of the run.
         cut: number of pieces per timestep.
     """
     prediction, model, h = run.prediction, run.vehicle.linear_model, run.prediction.timestep
@@ -258,7 +258,7 @@ def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...])
     """Returns signals that are known only at samples: held forces are constant, other signals are cubics between jumps.
 
     Args:
-        run: the run.
+        run: run whose signals are returned.
         response: response of the run, for example that of MuJoCo.
         signals: names of the signals.
     """

@@ -91,8 +91,8 @@ def remaining_transient(
     Returns None for an unstable loop, for a nonlinear law, and for a preview controller if the vehicle has rear wheels.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: spectrum of the road; the roughness has no effect.
         timestep: timestep of the sampled loop [s].
         start: time at which the measurement begins [s]. This time and the delays of rear wheels are rounded to whole samples of
@@ -181,7 +181,7 @@ class ExpectedMetrics:
             rms. The mean of a VDV is lower by 1.5 times its relative variance.
         spread: standard deviation of each rms metric from road to road, by metric.
         error: upper estimate of the relative error of the integrals, which is reported if it exceeds `EXACT`.
-        line: linear equivalent of the vehicle (`statistical_linearisation.py`).
+        line: linear vehicle from which the expected values are computed (`statistical_linearisation.py`).
     """
 
     mean: dict[str, float]
@@ -215,11 +215,11 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     """Returns the expected metrics; None if the loop is unstable or nonlinear, or if no linear equivalent is found.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
-        window: duration of the measurement [s].
+        window: duration of the measurement over which metrics are computed [s].
     """
     if not is_linear(controller, vehicle):
         return None
@@ -316,7 +316,7 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
         at_steps: amplitudes of `a` signals due to both sources at each step of a period, shape (steps, F, a, 2).
         omega: frequencies of the road [rad/s], shape (F,).
         timestep: length of a step [s].
-        weigh: frequency weighting.
+        weigh: frequency weighting W_k for sampled signals.
     """
     steps = np.arange(len(at_steps))[:, None]
     turn = np.exp(1j * omega * timestep * steps)[..., None, None]
@@ -348,7 +348,7 @@ def work_rate(covariance: Array, force: Array, change: Array, *, mean: float) ->
     Args:
         covariance: covariance of force and change of travel in each step [J], shape (steps,).
         force, change: variances of force [N^2] and change of travel [m^2], shape (steps,).
-        mean: mean force [N].
+        mean: mean of the force [N].
     """
     steps = zip(covariance.tolist(), np.sqrt(force).tolist(), np.sqrt(change).tolist(), strict=True)
     return float(covariance.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))

@@ -43,7 +43,7 @@ class Gaussian:
     Attributes:
         by_step: spectrum S [unit^2/Hz] at each step of its period, shape (steps, F).
         omega: ascending frequencies [rad/s], shape (F,).
-        share: quadrature weights of the frequencies [Hz], shape (F,).
+        share: weight of each frequency in integrals over the frequency [Hz], shape (F,).
     """
 
     by_step: Array
@@ -161,12 +161,13 @@ class RandomSignals:
     """The signals of a vehicle over all random roads with the same spectrum.
 
     Attributes:
-        signal: function that returns a signal by name.
+        signal: function that returns a signal for its name.
         weighted_signal: function that returns the weighted acceleration for the name of an acceleration.
         window: duration of the measurement [s].
         timestep: timestep of the signals [s].
         speed: speed of the vehicle [m/s].
-        variance_share: factor on the variance from road to road, below 1 because a road has a finite length.
+        variance_share: factor by which the variance from road to road is multiplied; below 1 because a road has a finite
+            length.
         mean: means of the signals whose mean is not zero, by name.
         static: static deflection of each tyre [m].
         strokes: strokes in bump and in rebound [m] of each suspension with stops; infinite on a side without a stop.
@@ -185,16 +186,16 @@ class RandomSignals:
     works: Mapping[str, tuple[float, float]]
 
     def offset(self, name: str) -> float:
-        """Returns the mean of a signal."""
+        """Returns the mean of a signal; 0 if `mean` does not contain the signal."""
         return self.mean.get(name, 0.0)
 
     def rms(self, signal: Gaussian, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> tuple[float, float]:
         """Returns the root of the expected mean square, and its standard deviation from road to road.
 
         Args:
-            signal: signal x with zero mean.
-            clip: upper limit of the signal.
-            scale: factor on the result.
+            signal: Gaussian signal x with zero mean.
+            clip: upper limit to which the signal is clipped.
+            scale: factor by which the result is multiplied.
             offset: mean of the signal, which is added to x.
         """
         square = signal.clipped_mean_square(clip)

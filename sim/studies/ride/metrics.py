@@ -55,10 +55,10 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
     The result is empty if the loop is unstable or the law is nonlinear.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: road with the loads.
-        time: time at which the loads are taken from the road [s].
+        time: time at which the constant loads are taken from the road [s].
     """
     if controller.linear is False:
         return {}
@@ -83,7 +83,7 @@ class OverRuns:
     """Rule that combines the values of a metric over several runs.
 
     Attributes:
-        words: name of the rule.
+        words: name of the rule in texts.
         of: function that returns the combined value from the values of R runs and their measured distances [m], shape (R,)
             each.
     """
@@ -104,8 +104,8 @@ class Column:
     """Column in the table of controllers, which shows the largest value of a metric over the points of the vehicle.
 
     Attributes:
-        label: heading.
-        unit: printed unit; empty for a number without a unit.
+        label: heading of the column.
+        unit: unit in which the values are printed; empty for a number without a unit.
         scale: factor from the SI unit to the printed unit.
         change: name of the change relative to the passive vehicle; empty for a column without changes.
         praise: verb and object for a sentence about the best controller; empty if no sentence mentions this column.
@@ -134,7 +134,7 @@ class Totals:
     largest: Any = -math.inf
 
     def add(self, amount: Array) -> None:
-        """Adds the amounts of a block, shape (N,)."""
+        """Adds a block's contribution to the sums, shape (N,)."""
         self.sum = self.sum + amount
 
     def keep(self, values: Array) -> None:
@@ -151,10 +151,10 @@ class Metric:
     """A metric of one signal of a run. The class of the metric is registered in `METRICS`.
 
     Attributes:
-        source: name of the evaluated signal.
-        what: name of the statistic, which is part of the name of the metric.
+        source: name of the signal that the metric evaluates.
+        what: name of the statistic, such as peak, which is part of the name of the metric.
         unit: SI unit of the metric.
-        of: group of signals to which the metric belongs. Tables list the metrics of a group together.
+        of: name of the group of signals to which the metric belongs. Tables list the metrics of a group together.
         over_runs: rule that combines the values of several runs.
         approximate: False if the expected value is exact for a stationary linear run.
         expectation: text that defines the expected value, if it is not the mean.
@@ -200,7 +200,7 @@ class Metric:
 
     @classmethod
     def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that have their own additional column in the table of controllers."""
+        """Returns the signals for which the table of controllers has an additional column each."""
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
@@ -413,7 +413,7 @@ class Meter:
         Args:
             name: name of the acceleration.
             acceleration: samples [m/s2], shape (N, B).
-            seen: number of samples before these.
+            seen: number of samples of the run before these samples.
         """
         if not acceleration.shape[1]:
             return
@@ -445,7 +445,7 @@ def measure(
         first: index of the first measured sample.
         loaded: True if loads act on the body, so that its angles are measured.
         end: index of the sample after the last measured one; None for the end of the response.
-        earlier: see `Meter`.
+        earlier: True for the weighted metrics of earlier versions, see `Meter`.
         speed: speed of the vehicle [m/s]; NaN if it is unknown.
     """
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier, speeds=[speed])

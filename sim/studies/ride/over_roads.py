@@ -42,9 +42,9 @@ class Ride:
         road_class: road class of ISO 8608.
         controller: name of the controller.
         metric, unit: name and unit of the metric.
-        measured: root mean square over the roads, measured in MuJoCo.
-        predicted: prediction from the spectrum of the class.
-        spread: predicted standard deviation from road to road.
+        measured: root mean square of the metric over the roads of the class, measured in MuJoCo.
+        predicted: value of the metric that is predicted from the spectrum of the class.
+        spread: predicted standard deviation of the metric from road to road.
         events: text that states the share of time in which a tyre is off the ground, and the number of aborted runs.
     """
 
@@ -156,11 +156,11 @@ class OverRoads:
     """MuJoCo runs of a controller over the random roads of some classes."""
 
     def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
-        """Simulates the controller.
+        """Simulates the controller over the random roads of the classes.
 
         Args:
-            vehicle: the vehicle.
-            controller: the controller.
+            vehicle: vehicle that the controller controls.
+            controller: controller of this vehicle.
             timestep: timestep of the simulation [s].
             classes: road classes, such as "AC"; None for all classes.
         """

@@ -19,10 +19,10 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
     rate.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         timestep: timestep of the simulation [s].
-        high: frequency up to which poles are repeated [rad/s].
+        high: frequency up to which the repeated poles are returned [rad/s].
 
     Returns:
         Poles [1/s], and the relative rounding error of the slowest pole.

@@ -49,7 +49,7 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
 
     Args:
         vehicle: the vehicle.
-        road: road over distance or over time.
+        road: road on which the vehicle drives, over distance or over time.
         time: sample times from 0 [s], shape (T,).
     """
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
@@ -74,13 +74,13 @@ class MetricComparison:
     """Values of one metric of a run: in MuJoCo, in linear analysis, and expected over random roads.
 
     Attributes:
-        unit: SI unit.
+        unit: SI unit of the metric.
         mujoco: value in MuJoCo; None if the run was aborted.
         sampled: value in the exact sampled response over the same road; None if the run was aborted.
         expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
             linear and stable, or the metric has no known expected value.
         spread: standard deviation of the expected value from road to road; None if it is unknown.
-        approximate: True if the expected value is approximate.
+        approximate: True if the formula for the expected value is an approximation.
     """
 
     unit: str
@@ -112,9 +112,9 @@ class RunMetrics(ShownResult):
 
     Attributes:
         metrics: metrics by name.
-        settled: transient that remains when the measurement begins; None for roads without a spectrum, for unstable loops, and
-            for laws in Python.
-        error: largest relative error of the integrals for expected values; None if there are no expected values.
+        settled: part of the transient that remains when the measurement begins; None for roads without a spectrum, for unstable
+            loops, and for laws in Python.
+        error: largest relative error of the integrals from which expected values are computed; None without expected values.
         line: linear vehicle from which the expected values are computed; None if there are no expected values.
         static: angles of the body in equilibrium of the linear loop under the final loads [deg], by name. None if no loads act;
             empty if the loop is unstable or the law is nonlinear.
@@ -128,7 +128,7 @@ class RunMetrics(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Document with all metrics as text: values in MuJoCo and in the sampled response, and expected values."""
+        """Document that lists all metrics: values in MuJoCo, values in the sampled response, and expected values."""
         rows = {
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
             for name, one in self.metrics.items()

@@ -55,7 +55,7 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
     Args:
         scores: scores of the controllers, one per row.
         about: text that describes the measurement.
-        more: further columns.
+        more: further columns, which follow the metrics.
     """
     passive = {one.vehicle: one for one in scores if one.controller == PASSIVE and not one.without and len(scores) > 1}
     marked, several = best(scores), any(one.vehicle for one in scores)
@@ -87,7 +87,7 @@ def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str
     Args:
         scores: scores of the controllers, one per row.
         about: text that describes the measurement.
-        below: cells of further rows, by heading.
+        below: cells of rows that follow the controllers, by heading of the column.
     """
     one = compared_table(scores, about)
     one = replace(one, rows=(*one.rows, *(tuple(cells.get(heading, "") for heading in one.headings) for cells in below)))

@@ -34,7 +34,7 @@ class Score:
         controller: name of the controller.
         values: values by key of `FIELDS`, in SI units; None if the vehicle does not have this metric or the run was aborted.
         fault: reason why the controller is never marked as best, see `law_fault`; empty for a controller without a fault.
-        vehicle: name of the vehicle, if several are compared; otherwise empty.
+        vehicle: name of the vehicle if several vehicles are compared; otherwise empty.
         without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the whole vehicle.
         strokes: largest travel and stroke [m] in bump and in rebound, for the suspension that uses the largest share of its
             stroke. A side without a stop is omitted. `strokes` is empty if there are no stops or no run.
@@ -104,7 +104,7 @@ def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
     """Returns the score of a controller from the metrics of its run.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controller controls.
         controller: name of the controller.
         metrics: values by name of the metric; empty for an aborted run, whose score contains only None.
     """
@@ -119,7 +119,7 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
     """Returns the score of a controller over R runs, see `over_runs`. A value is None if a run does not have this metric.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controller controls.
         controller: name of the controller.
         metrics: values of all runs by name of the metric, shape (R,) each.
         distances: measured distance of each run [m], shape (R,); None if all are equal.
@@ -177,9 +177,9 @@ def scores_of_runs(
         runs: runs of the controllers over the same road.
         passive: MuJoCo's response of the passive vehicle.
         samples: index of the first measured sample, and index after the last; None for the end of the runs.
-        measured: metrics of the runs between these samples, if they are known.
+        measured: metrics of the runs between these samples; empty if they have not been measured yet.
         without: part of the vehicle that each run omits; empty if no run omits a part.
-        title: title of the vehicle, if several are compared.
+        title: title of the vehicle if several vehicles are compared; otherwise empty.
     """
     road, (first, end) = runs[0].road, samples
     known: dict[int, Mapping[str, float | None]] = {

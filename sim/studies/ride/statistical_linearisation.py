@@ -74,10 +74,10 @@ LOWEST = 1e-3  # lowest frequency of the noise that represents the remainder, re
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Remainders of e curves, modelled as a linear transfer matrix (memory) and noise.
+    """Remainders of e nonlinear characteristics (curves), modelled as a linear transfer matrix (memory) and noise.
 
     Attributes:
-        pulls: names of the e deflections along which the forces act.
+        pulls: names of the e deflections along which the forces of the curves act.
         index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
         omega: frequencies [rad/s], ascending from 0, shape (F,).
         memory: transfer matrix from the arguments to the forces, without the slopes of the lines, shape (F, e, e).
@@ -107,7 +107,8 @@ class Remainder:
             road: spectrum of the road.
             omega: frequencies [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
-            at_steps: `stepwise_frequency_response` of the loop to the road and to forces of the curves.
+            at_steps: `stepwise_frequency_response` of the loop, from the road velocities and from forces along the deflections
+                `pulls`.
 
         Returns:
             Excitation of r wheels and e curves (rows) by the two sources of the road and by e noise sources (columns), shape
@@ -206,9 +207,9 @@ def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float
     """Returns the share of the remainder in the variance of a curve's force, for a Gaussian argument.
 
     Args:
-        curve: the curve.
-        mean, deviation: mean and standard deviation of the argument.
-        slope: slope of the line.
+        curve: characteristic of the nonlinear spring or damper.
+        mean, deviation: mean and standard deviation of the argument of the curve.
+        slope: slope of the line that replaces the curve.
     """
     z, weights = GAUSS
     force = curve(mean + deviation * z)
@@ -220,7 +221,7 @@ def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tup
     """Returns the second-order terms of the module docstring.
 
     Args:
-        rho: correlations at T times, shape (T, e, e).
+        rho: correlations rho_ij of the arguments at T times, shape (T, e, e).
         answer: impulse responses R at these times, shape (T, e, e).
         c: Hermite coefficients of each curve, shape (e, number of degrees).
         deviations: standard deviations of the arguments, shape (e,).
@@ -259,7 +260,7 @@ class Equivalent:
     Attributes:
         vehicle: vehicle in which lines replace the curves.
         mean: nonzero means of output signals in the unit of the signal, by name.
-        rounds: number of iterations; 0 for a linear vehicle.
+        rounds: number of iterations until the lines converged; 0 for a linear vehicle.
         remainder: remainders of the curves; None if the iteration does not converge.
     """
 
@@ -273,8 +274,8 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     """Returns the linear equivalent of a vehicle; None if its loop is unstable or the iteration does not converge.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
     """

@@ -99,7 +99,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     Args:
         road: road of the run.
         percent: half width of the band [%].
-        given: True if the user gave the band.
+        given: True if the user chose the band, instead of the default.
 
     Raises:
         InputError: the band is out of range, or it is given for a road that is not a step.
@@ -115,8 +115,8 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
     """Returns the step metrics of a signal.
 
     Args:
-        pieces: the signal over the run.
-        final: final value.
+        pieces: the signal over the run, as polynomials between samples.
+        final: final value of the signal.
         height: True if the final value is not zero, for example for a height.
         half_band: half width of the band, in the unit of the signal.
     """
@@ -145,7 +145,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
         run: run over a `Step`.
         percent: half width of the band [%], relative to the final value. If the final value is zero, the width is relative to the
             peak of the continuous response (or else of the sampled response).
-        continuous: signals of the continuous response, exact between samples, if they are known.
+        continuous: signals of the continuous response, exact between samples; None if they have not been computed yet.
 
     Raises:
         InputError: the road is not a step, or the band is out of range.
@@ -218,7 +218,7 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
     `-v` adds a table of all signals for each run.
 
     Args:
-        runs: the runs.
+        runs: runs over the step.
         measured: step metrics of each run, by name of the signal.
         percent: half width of the band [%].
     """

@@ -66,7 +66,7 @@ class SampledWk:
         """Filters the next samples of N signals.
 
         Args:
-            signals: samples, shape (N, T).
+            signals: next T samples of N signals, shape (N, T).
             memory: memory after the previous samples, as returned; None before the first sample.
 
         Returns:

@@ -31,7 +31,7 @@ def mode(cut: StateSpace, delay: int, over_delay: complex) -> tuple[complex, Arr
     """Returns the eigenvalue z with z^d = `over_delay`, and its eigenvector x, shape (n,).
 
     Args:
-        cut: loop that is cut at its forces.
+        cut: loop that is cut at its forces, with matrices A, B and C.
         delay: delay d in samples.
         over_delay: result of `slowest_from_sample_to_sample`.
     """

@@ -44,7 +44,7 @@ class StabilityEdge:
 
     Attributes:
         step: derivative of MuJoCo's step, see `step_derivative`.
-        trial: function that returns the loop for an amount.
+        trial: function that returns the loop for an amount: a gain factor, delay or sample period.
         expected: predicted limit, where the search starts; infinite if every amount is predicted to be stable.
         most: largest amount to try if `expected` is infinite.
         multiple: step of the amounts if only integer multiples of it are allowed; 0 if any positive amount is allowed.
@@ -144,7 +144,7 @@ def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], Non
     The runs are omitted if the observer `growth` is not installed.
 
     Args:
-        edges: searches with the same timestep.
+        edges: searches to run, all with the same timestep.
         progress: callback that receives a line about the progress.
     """
     for number, edge in enumerate(edges):
@@ -199,9 +199,9 @@ def _rate(state: Array, start: Array, loop: SimulatedLoop, duration: float) -> f
     """Returns the growth rate of a mode between two states of a run [1/s]; NaN if the mode changes too little.
 
     Args:
-        state: state at the end of the run, shape (n,).
-        start: state at the start of the run.
-        loop: loop of the run.
+        state: state of the loop at the end of the run, shape (n,).
+        start: state of the loop at the start of the run, shape (n,).
+        loop: loop that the run simulated.
         duration: duration of the run [s].
     """
     mode = loop.slowest[1][: len(state)]

@@ -50,7 +50,7 @@ class GainMargin:
     Attributes:
         own: predicted margin of the continuous loop.
         sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
-        search: search for the margin at the given timestep.
+        search: search for the margin in MuJoCo at the given timestep.
         finer: search at half the timestep or less, which runs only if it is needed.
         coarser: search at twice the step of `finer`; None if this is `search`.
     """
@@ -106,7 +106,7 @@ class GainMargin:
         """Returns the extrapolation of a margin to a timestep of 0; infinite if the margin grows without limit.
 
         Args:
-            coarse: margin at a timestep.
+            coarse: margin at the longer timestep.
             fine: margin at half this timestep.
         """
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
@@ -117,7 +117,7 @@ class GainMargin:
 
         Args:
             own: margin of the continuous loop.
-            coarse: margin at a timestep.
+            coarse: margin at the longer timestep.
             fine: margin at half this timestep.
         """
         within = max(abs(fine - coarse) / 2, AGREES * own)
@@ -164,10 +164,11 @@ class LoopMargins:
     """Stability margins of one loop, predicted and found in MuJoCo.
 
     Attributes:
-        predicted: margins from the loop transfer function.
-        gain: largest stable gain factor.
-        gain_lower: inverse of the smallest stable gain factor.
-        delay: search for the smallest unstable delay; for an implemented loop, this is in addition to the delay of the loop.
+        predicted: margins that are computed from the loop transfer function.
+        gain: upper gain margin: the largest stable gain factor.
+        gain_lower: lower gain margin: the inverse of the smallest stable gain factor.
+        delay: search for the smallest unstable delay; for an implemented loop, in addition to the delay that the loop already
+            has.
         sample_period: search for the smallest unstable sample period; not run for an implemented loop.
         timestep: timestep of the simulation [s].
         predicted_delay: smallest unstable delay of the linear loop [s].
@@ -226,7 +227,7 @@ def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> 
     """Returns True if the linear loop, evaluated only at multiples of the timestep, has the same limit as MuJoCo.
 
     Args:
-        edge: finished search.
+        edge: finished search for a stability limit.
         grows: function that returns True if the linear loop is unstable with an amount.
     """
     if grows is None or not edge.unstable > edge.expected:
@@ -251,7 +252,7 @@ def find_margins(
     """Predicts gain, phase and delay margins and the largest sample period of a loop, and measures them in MuJoCo.
 
     Args:
-        vehicle: vehicle; its `[implementation]` is ignored.
+        vehicle: vehicle whose `[implementation]` is ignored.
         controller: controller with a stable loop.
         timestep: timestep of the simulation [s].
         progress: callback that receives a line about the progress.
@@ -391,7 +392,7 @@ def _gain_margins(
         vehicle: vehicle of the loop.
         controller: controller of the loop.
         actuators: indices of the actuators whose gain changes.
-        predicted: predicted margins.
+        predicted: margins that are predicted from the loop transfer function.
         timestep: timestep of the simulation [s].
         derivative: function that returns the derivative of MuJoCo's step for a timestep [s].
     """

@@ -16,11 +16,12 @@ class StabilityMargins:
     """Margins of one controller.
 
     Attributes:
-        vehicle: vehicle of the vehicle file.
-        controller: the controller.
-        loops: margins of the ideal loop by name; "" is the loop cut at all actuators, and a force is the loop cut at this
-            force.
-        implemented_loops: margins of the implemented loop by name; empty if it has neither sample period nor delay.
+        vehicle: vehicle that the vehicle file describes.
+        controller: controller that closes the loop.
+        loops: margins of the ideal loop, by the force at which the loop is cut; the key "" is the loop that is cut at all
+            actuators.
+        implemented_loops: margins of the implemented loop, by the same keys; empty if the loop has neither sample period nor
+            delay.
     """
 
     vehicle: Vehicle
@@ -51,7 +52,7 @@ def stability_margins(
     """Computes the margins of controllers for the vehicle in equilibrium, and searches for the same margins in MuJoCo.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
         timestep: timestep of the simulation [s].
         progress: callback that receives the name of the stage, or a line about its progress.

@@ -37,13 +37,13 @@ class Row(NamedTuple):
     """A margin in a table.
 
     Attributes:
-        margin: name with unit.
-        predicted: predicted value.
+        margin: name of the margin, with its unit.
+        predicted: predicted value of the margin.
         found: value found in MuJoCo; NaN if it is only predicted or not decided.
-        note: remark.
+        note: remark on the margin in the last column of the table.
         extrapolated: True if `found` results from an extrapolation to a timestep of 0.
         extra: True to omit the row in comparisons of controllers.
-        usual: predicted value in dB or degrees; None for a margin without such a unit.
+        usual: predicted value in dB or degrees; None for a margin that has neither unit.
     """
 
     margin: str
@@ -241,8 +241,8 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     """Returns the rows of a loop.
 
     Args:
-        found: margins of the controller.
-        one: margins of the loop.
+        found: margins of the controller to which the loop belongs.
+        one: margins of the loop whose rows are returned.
         of: text such as ", ideal loop", which follows the name of a margin if the implemented loop has the same margin.
     """
     predicted, h, gain = one.predicted, one.timestep, one.gain
@@ -301,7 +301,7 @@ def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
     """Returns a row with the margin of the sampled loop for each timestep, if finer searches ran.
 
     Args:
-        gain: gain margin.
+        gain: upper or lower gain margin of the loop.
         power: 1 for an upper margin; -1 for a lower margin, which is stored as its inverse.
     """
     return [
@@ -319,9 +319,9 @@ def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
     """Returns the note on a delay or a sample period, with the reason if the runs are not decisive.
 
     Args:
-        edge: finished search.
+        edge: finished search for the delay or sample period.
         found: value found in MuJoCo [s]; NaN if the runs are not decisive.
-        texts: further notes.
+        texts: further notes on the same value.
     """
     reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
     missed = "unstable there for less than a timestep" * (edge.unstable > edge.expected + 2 * edge.multiple)

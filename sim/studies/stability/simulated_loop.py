@@ -33,7 +33,7 @@ class LoopCase:
 
     Attributes:
         vehicle: vehicle with sample period and delay of the controller.
-        controller: the controller.
+        controller: controller that closes the loop.
         undelayed_controller: second controller, whose forces act at every timestep without delay; None if there is no second
             controller.
     """
@@ -109,7 +109,7 @@ def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
 
     Args:
         step: derivative of MuJoCo's step for the vehicle, see `step_derivative`.
-        trial: the loop.
+        trial: loop to model, with its vehicle and controller.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep.

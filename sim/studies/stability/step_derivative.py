@@ -26,7 +26,7 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
     have the names of the forces. The outputs are the signals of the vehicle.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that MuJoCo simulates.
         timestep: timestep of the simulation [s].
 
     Raises:

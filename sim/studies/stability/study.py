@@ -95,7 +95,7 @@ def check_loop(vehicle: Vehicle, built: Vehicle, controller: Controller, timeste
     Args:
         vehicle: vehicle without sample period, delay and noise.
         built: vehicle with its implementation.
-        controller: the controller.
+        controller: controller that closes the loop.
         timestep: timestep of the simulation [s].
 
     Raises:

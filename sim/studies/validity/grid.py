@@ -22,8 +22,8 @@ class GridAxis:
     """Axis of a map: a quantity of the bump at evenly spaced values.
 
     Attributes:
-        name: height, length or speed.
-        values: values in SI units, ascending.
+        name: quantity of the bump that varies along this axis: height, length or speed.
+        values: values of this quantity in SI units, ascending.
     """
 
     name: str
@@ -74,7 +74,7 @@ def grid(axes: Sequence[GridAxis], fixed: dict[str, float]) -> list[Bump]:
 
     Args:
         axes: axes of the map.
-        fixed: height [m], length [m] and speed [m/s] if they are not an axis.
+        fixed: value of each quantity that is not an axis, by name: height [m], length [m] or speed [m/s].
     """
     names = [axis.name for axis in axes]
     cells = [fixed | dict(zip(names, values, strict=True)) for values in itertools.product(*(axis.values for axis in axes))]

@@ -33,7 +33,8 @@ class MapRun:
         first: first limit that was reached, as an index into `REGIME_ENDS`; -1 if no limit was reached.
         time: time at which this limit was reached [s]; infinite if no limit was reached.
         broke_off: reason why the run was aborted, `DIVERGENCE` or `LAW_OVERFLOW`; empty if it was not aborted.
-        error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to its peak.
+        error: largest difference of a signal from linear analysis with linearised springs and dampers, relative to the peak of
+            the signal.
         missing: rms of the force that semi-active dampers could not apply, relative to the rms of the requested force. The value
             is 0 if no force was requested, and NaN if there are no semi-active dampers.
     """
@@ -80,7 +81,7 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
 
 
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
-    """Returns the largest value of a response relative to each limit in `REGIME_ENDS`, shape (..., E).
+    """Returns the largest values of a response, relative to the limits in `REGIME_ENDS`, shape (..., E).
 
     The entry for the missing force of semi-active dampers is 0, because the analysis includes these dampers.
     """
@@ -100,10 +101,10 @@ def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], 
     """Simulates runs in MuJoCo.
 
     Args:
-        vehicle: the vehicle.
-        runs: controller, road and number of samples of each run. A run may be longer than requested, because all runs of a batch
-            have the same length.
-        time: sample times [s], shape (T,).
+        vehicle: vehicle that is simulated.
+        runs: controller, road and requested number of samples of each run. A run may be longer than requested, because all runs
+            of a batch have the same length.
+        time: sample times of the longest run [s], shape (T,).
     """
     order = sorted(range(len(runs)), key=lambda i: runs[i][2])
     at_once = min(AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))

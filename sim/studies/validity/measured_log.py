@@ -39,7 +39,7 @@ class SignalFit:
         fit: 1 - rms(measured - MuJoCo) / rms(measured); None if the measured signal is zero.
         fit_without_offset: fit after the offset is removed from the measured signal; None if the signal is then zero.
         correlation: correlation coefficient; None if one of the signals is constant.
-        offset: mean of measured - MuJoCo, in the signal's SI unit.
+        offset: mean of the difference (measured - MuJoCo), in the SI unit of the signal.
         rms: rms of the measured signal, in the signal's SI unit.
         samples: number of compared samples.
     """
@@ -99,14 +99,14 @@ class MeasuredComparison:
     """Comparison of a measured log with runs.
 
     Attributes:
-        log: the log.
+        log: measured log that is compared with the runs.
         start: time of the log at which the runs start [s].
-        correlation: mean correlation of the signals with this start, for the run with the largest correlation.
+        correlation: correlation coefficient for this start, averaged over all signals, for the run with the largest average.
         given: True if the user gave the start.
         response: measured signals over the time of the runs; NaN within gaps.
-        offsets: removed offset of each signal, in its SI unit; empty if no offsets were removed.
+        offsets: offset that was removed from each measured signal, in the SI unit of the signal; empty if none was removed.
         opposite: names of signals that would correlate better with the opposite sign.
-        fits: fits of each run, by name of the signals that log and run have in common.
+        fits: comparison of each run with the log, by name of the signals that log and run have in common.
     """
 
     log: MeasuredLog
@@ -183,7 +183,7 @@ def compare_log(
     """Aligns a measured log with runs of the same duration, and compares them.
 
     Args:
-        log: the log.
+        log: measured log that is compared with the runs.
         runs: runs over the same road.
         start: time of the log at the start of the runs [s]; None to find the start with the largest correlation.
         remove_offsets: True to remove from each signal its mean difference from the run with the largest correlation.
@@ -222,10 +222,10 @@ def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Seque
     """Returns measured signals over the time of a run, at the sample times of log or run, whichever are further apart.
 
     Args:
-        log: the log.
-        run: response of the run.
+        log: measured log that is compared with the runs.
+        run: simulated response of the run.
         start: time of the log at the start of the run [s].
-        signals: signals to return.
+        signals: names of the signals to return.
     """
     relative = log.time - start
     if log.step > run.time[1] - run.time[0]:
@@ -293,7 +293,7 @@ def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]
     total, opposite = np.zeros(len(at) + len(grid) - 1), list[str]()
 
     def sums(values: Array, weights: Array) -> Array:
-        """Returns the sums of products for all shifts between two signals."""
+        """Returns the sum of products of two signals for each shift in time between them."""
         return np.asarray(correlate(values, weights, mode="full", method="fft"))
 
     for name in (name for name in log.signals if name in run.names):

@@ -46,7 +46,7 @@ class RegimeEnd:
     Attributes:
         predicted: predicted bump height at which the first limit is reached [m].
         predicted_end: name of the predicted limit in `REGIME_ENDS`.
-        near: names of the limits that are reached within the factor `NEAR` of the predicted height.
+        near: names of the limits that are predicted at heights up to `NEAR` times the predicted height.
         stays: height of the highest bump in MuJoCo over which no limit is reached [m]; 0 if there is no such bump.
         leaves: height of the lowest bump in MuJoCo over which a limit is reached [m]; infinite if there is no such bump.
         end: name of the first limit that is reached over this bump; empty if there is no such bump.
@@ -77,9 +77,9 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     """Returns the end of the linear regime for each controller; None if no limit is reached at any allowed height.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
-        bump: bump with the length and speed to study; its response predicts the responses at other heights.
+        bump: bump with the length and speed to study; the response over it predicts the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
     """
     ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
@@ -106,9 +106,9 @@ def enclose_ends(
     """Finds the bump heights at which the linear regime ends for N lengths and speeds, and encloses each by two MuJoCo runs.
 
     Args:
-        vehicle: the vehicle.
-        controllers: N controllers.
-        bumps: N bumps with the lengths and speeds to study; their responses predict the responses at other heights.
+        vehicle: vehicle that the controllers control.
+        controllers: N controllers, one for each bump.
+        bumps: N bumps with the lengths and speeds to study; the responses over them predict the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.
         within: factor between the predicted height and the heights of the two runs, see `WITHIN`.
@@ -195,7 +195,7 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
     """Returns the next height to try [m].
 
     Args:
-        whole: ascending heights of bumps over which no limit is reached [m], each with the largest signal relative to its limit.
+        whole: ascending heights of bumps over which no limit is reached [m], each with the largest value relative to a limit.
         high: lowest height at which a limit is reached [m]; infinite if there is no such height.
         within: factor between the predicted height and the heights of the two runs.
     """

@@ -43,18 +43,19 @@ class Cells:
     """The N cells of a map, in the order of their bumps.
 
     Attributes:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         loads: loads on the body over each bump.
         threshold: largest error for which linear analysis counts as valid, relative to the peak.
-        bumps: bumps, one for each cell.
-        used: largest value relative to each limit in `REGIME_ENDS`, computed by analysis, shape (N, E).
+        bumps: the N bumps, one for each cell.
+        used: largest values relative to the limits in `REGIME_ENDS`, computed by analysis for each cell, shape (N, E).
         predicted: predicted first limit as an index into `REGIME_ENDS`, shape (N,); -1 if no limit is reached.
         predicted_time: time of this limit [s], shape (N,); infinite if no limit is reached.
         travel: largest suspension deflection, computed by analysis [m], shape (N,).
         driven: results of the MuJoCo runs, by index of the cell.
         boundary: indices of the simulated cells whose prediction differs at a height 1 % lower or higher.
-        ends: bump heights that MuJoCo runs enclose, by index of a cell with the same length and speed.
+        ends: bump height at which the linear regime ends, enclosed by MuJoCo runs, by index of a cell with the same length and
+            speed.
     """
 
     vehicle: Vehicle
@@ -144,8 +145,8 @@ def validity(
     """Predicts the first limit over each bump of a grid, and simulates some of the bumps in MuJoCo.
 
     Args:
-        vehicle: the vehicle.
-        controller: the controller.
+        vehicle: vehicle that the controller controls.
+        controller: controller of this vehicle.
         bumps: bumps of the grid.
         time: equidistant sample times from 0 [s], shape (T,).
         progress: callback that receives the number of predicted cells.

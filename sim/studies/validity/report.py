@@ -144,7 +144,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
     """Returns the document about the maps of several controllers over the same bumps, with figures.
 
     Args:
-        maps: maps of the controllers.
+        maps: maps of validity, one for each controller.
         timestep: timestep of the simulation [s].
         without: text that excludes noise and quantisation, such as ", without its noise"; empty if the runs omit nothing.
     """
@@ -188,12 +188,12 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     """Returns the document about the bump height up to which linear analysis is valid.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle that drives over the bump.
         ends: end of the linear regime for each controller.
         wrong: names of controllers whose runs disagree with linear analysis. No height is stated for these controllers.
-        where: name of the road on which these runs disagree.
-        bump: bump whose length and speed were used.
-        runs: text with duration and timestep of the runs over the bump.
+        where: name of the road over which the runs of these controllers disagree.
+        bump: bump with the length and speed for which the heights were found.
+        runs: text that states the duration and the timestep of the runs over the bump.
     """
     noise = f", without its {vehicle.implementation.noise_text}," if vehicle.implementation.has_measurement_noise else ""
     claimed = [(as_name(one.name), end) for one, end in ends if one.name not in wrong]
@@ -233,7 +233,7 @@ NOTHING = "#dcefdc"
 
 
 def envelope_figure(cells: Cells) -> Figure:
-    """Returns the figure of a map.
+    """Returns the figure that shows a map of validity over the bumps.
 
     Colours show the predicted first limit, a line shows the edge of the linear regime, and markers show the MuJoCo runs. A map
     with one axis shows the largest response relative to each limit instead.
@@ -285,7 +285,7 @@ def _markers(cells: Cells, places: Array) -> list[Curve]:
 
 
 def _marks(points: Array, label: str, marker: Marker) -> Curve:
-    """Returns markers at points, shape (N, 2). Black is legible on all colours of a map."""
+    """Returns black markers at given points, shape (N, 2). Black is legible on all colours of a map."""
     return Curve(points[:, 0], points[:, 1], label, BLACK, "none", marker)
 
 

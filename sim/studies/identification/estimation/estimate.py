@@ -36,20 +36,20 @@ class Estimate:
     """Result of an identification.
 
     Attributes:
-        problem: parameters and experiments.
-        values: values of all free parameters [SI], by name; the parameters that were not estimated have their initial values.
+        problem: parameters to identify, and experiments that measured them.
+        values: values of all free parameters [SI], by name; parameters that were not estimated keep their initial values.
         free: names of the p parameters that were estimated.
-        structure: parameters that the logs do not determine by themselves.
-        delays: estimated delays [s], by signal.
-        noise: noise rms of each signal.
+        structure: parameters and combinations that the logs do not determine.
+        delays: estimated delays of the sensors [s], by signal.
+        noise: rms of the sensor noise of each signal.
         covariance: covariance of the logarithms of the free parameters if the residuals are white, shape (p, p).
         robust: covariance of the same logarithms, computed from the autocovariance of the residuals, shape (p, p).
         whiteness: result of the whiteness test of each experiment, by signal.
         differences: predicted minus measured signals of each experiment, shape (T, q).
         predicted: predicted signals of each experiment, shape (T, q).
         deviance: -2 log likelihood, up to a constant.
-        residuals: the residuals for further analysis.
-        x: values of all unknowns.
+        residuals: residuals of the estimate, for further analysis.
+        x: values of all unknowns at the estimate, see `residuals`.
     """
 
     problem: IdentificationProblem
@@ -110,8 +110,8 @@ class Estimate:
         """Returns the value of a product of powers of parameters, and the standard deviation of its logarithm.
 
         Args:
-            powers: power of each parameter. Held parameters count as known, because the product does not depend on their
-                values.
+            powers: power of each parameter, by name. Held parameters count as known, because the product does not depend on
+                their values.
         """
         weights = np.array([powers.get(name, 0.0) for name in self.free])
         value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))

@@ -17,8 +17,8 @@ class Known:
     Attributes:
         name: name of the combination in reports.
         of: function that computes the combination for a vehicle [SI].
-        value: measured value.
-        deviation: standard deviation of the measured value.
+        value: measured value of the combination [SI].
+        deviation: standard deviation of this value [SI].
     """
 
     name: str
@@ -35,10 +35,10 @@ class IdentificationProblem:
         vehicle: vehicle with the initial values of its parameters.
         change: function that returns the vehicle with other values of some parameters.
         first: initial values of all free parameters, by name; each is above 0.
-        experiments: the experiments.
+        experiments: experiments that measured the parameters.
         known: combinations that are known from elsewhere.
         from_zero: names of the free parameters that may be zero; the unknowns of all others are logarithms.
-        lowest: smallest allowed values of parameters that need a limit above 0, such as an exponent.
+        lowest: smallest allowed values of parameters that need a limit above 0 (such as an exponent), by name.
     """
 
     vehicle: Vehicle

@@ -45,8 +45,8 @@ def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float 
     """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if it never does.
 
     Args:
-        last: last value of the unknown.
-        step: size of the first step.
+        last: value of the unknown at which the search stops.
+        step: size of the first step of the unknown from the estimate.
         level: square root of the required rise.
     """
     from scipy.optimize import brentq

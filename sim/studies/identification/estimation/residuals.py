@@ -25,12 +25,12 @@ class Residuals:
     """Residuals for one choice of free parameters.
 
     Attributes:
-        problem: parameters and experiments; the parameters that are not free keep their initial values.
+        problem: parameters to identify and experiments; the parameters that are not free keep their initial values.
         free: names of the p free parameters.
         delayed: index in x of each estimated delay, by signal.
         starts: indices in x of each experiment's starting state; empty if the vehicle starts in equilibrium.
         offsets: indices in x of each experiment's estimated offsets, by index of the channel.
-        size: number of unknowns.
+        size: number of unknowns in x.
         measured: measured signals of each experiment, shape (T, q).
     """
 
@@ -121,7 +121,7 @@ class Residuals:
         """Returns the derivatives of all residuals, shape (N, unknowns), and the residuals, shape (N,), by channel.
 
         Args:
-            most: largest number of samples of an experiment that are used.
+            most: largest number of samples that are used from each experiment.
         """
         each = [*self._blocks(x, noise, most), (self.known_columns(x), self._known(self.values(x)))]
         return np.concatenate([J for J, _ in each]), np.concatenate([residuals for _, residuals in each])

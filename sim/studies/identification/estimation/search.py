@@ -37,7 +37,7 @@ def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
     """Returns the initial unknowns: the given parameters, and the starting states and offsets that fit best with them.
 
     Args:
-        shift: change of the unknowns of the free parameters, shape (p,).
+        shift: change that is added to the unknowns of the free parameters, shape (p,).
     """
     x, p = np.zeros(of.size), len(of.free)
     x[:p] = [of.coordinate(name, of.problem.first[name]) for name in of.free]
@@ -57,7 +57,7 @@ def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among
     """Returns the solution of largest likelihood near x. Unknowns and noise are estimated alternately.
 
     Args:
-        rounds: largest number of rounds.
+        rounds: largest number of rounds, in which unknowns and noise are estimated alternately.
         most: largest number of evaluations in each round.
         among: indices of the unknowns that change; all by default.
     """

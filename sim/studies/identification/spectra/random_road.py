@@ -52,10 +52,10 @@ class Periodograms:
     """Measured spectra of the segments of an experiment, which all have the same length.
 
     Attributes:
-        experiment: the experiment.
-        frequencies: frequencies that are used [Hz], shape (K,).
+        experiment: experiment that was measured.
+        frequencies: frequencies at which the periodograms are used [Hz], shape (K,).
         measured: mean of the periodograms, shape (K, q, q); complex, one-sided.
-        segments: number of segments.
+        segments: number of segments into which the log is divided.
         inflation: factor by which the taper reduces the information.
         kernel: spectrum of the taper at offsets of half a bin, shape (2 REACH + 1,); the sum is 1.
         first: index of the first frequency; the spacing of the indices is one bin.
@@ -187,8 +187,8 @@ class RoadResponse:
     The road has two independent sources with the one-sided spectral density 1.
 
     Args:
-        problem: the problem.
-        one: the experiment.
+        problem: identification problem with the vehicle and its parameters.
+        one: experiment on a random road.
         values: values of all parameters, including the road's.
         free: names of the p parameters for the derivatives.
     """
@@ -214,7 +214,7 @@ class RoadResponse:
         """Returns the responses, shape (J, q, 2), and derivatives of this shape with respect to the parameters' logarithms.
 
         Args:
-            omega: angular frequencies [rad/s], shape (J,).
+            omega: angular frequencies at which the responses are computed [rad/s], shape (J,).
         """
         (A, Bv, Bd, C, Dv, Dd), values, speed = self._model, self.values, self.road.speed
         s = 1j * omega[:, None, None]

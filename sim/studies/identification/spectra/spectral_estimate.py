@@ -45,7 +45,7 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
 
     Args:
         free: names of the parameters to estimate; the others keep their initial values.
-        seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
+        seed: random seed for further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:
         InputError: the spectra determine no parameter.

@@ -36,7 +36,7 @@ class SpectralResiduals(Residuals):
         free: names of the p free parameters.
         delayed: index in x of each estimated delay, by signal.
         noisy: index in x of each estimated noise, by signal.
-        size: number of unknowns.
+        size: number of unknowns in x.
         spectra: measured spectra of all experiments.
     """
 
@@ -141,7 +141,7 @@ class SpectralResiduals(Residuals):
         """Returns the derivatives of all residuals and the residuals, shapes (N, unknowns) and (N,).
 
         Args:
-            noise: not used, because x contains the noise.
+            noise: argument that is not used, because x contains the noise.
         """
         R, c = [self.known_columns(x)], [self._known(self.values(x))]
         for each, (left, changes) in zip(self.spectra, self.whitened(x), strict=True):

@@ -361,7 +361,7 @@ class Work(Force):
 
 
 class ControlPower(Work):
-    """Mean power from the actuator into the suspension."""
+    """Mean power that the actuator supplies to the suspension."""
 
     what, unit = "power", "W"
 
@@ -377,7 +377,7 @@ class ControlPower(Work):
 
 
 class ControlEnergy(Work):
-    """Energy from the actuator into the suspension, if the actuator cannot recover energy."""
+    """Energy that the actuator supplies to the suspension, if the actuator cannot recover energy."""
 
     what, unit = "energy", "J"
 
@@ -396,8 +396,8 @@ def _named_after(signal: str, common: Signal, metric: str) -> str:
     """Returns the full name of a metric: `metric` replaces the common prefix in the signal's name, or follows this name.
 
     Args:
-        signal: name of the signal.
+        signal: name of the signal to which the metric belongs.
         common: signal whose name is the common prefix.
-        metric: name of the metric.
+        metric: name of the metric in the full name.
     """
     return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
