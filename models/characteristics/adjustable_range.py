@@ -73,7 +73,7 @@ class Envelope:
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Ramps whose sum is the deviation of h from a line: knot [m/s], increase of the slope beyond the knot, side (1 or -1).
+        """Ramps whose sum is the deviation of h from a line, each as knot [m/s], slope increase beyond it, and side (1 or -1).
 
         The increase of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of its actuator as a
         damping ratio.

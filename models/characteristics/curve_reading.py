@@ -70,10 +70,10 @@ class Argument(ListedValues):
     """Argument of a characteristic, which a file gives as a list of ascending values.
 
     Attributes:
-        name: key of the argument.
+        name: key of the list in the file, such as "velocity".
         largest: largest allowed value; a larger value probably has a wrong unit.
-        small: the unit in which larger values are probably given.
-        slope: SI unit of force over the argument.
+        small: smaller unit in which a value above `largest` is probably given, for messages.
+        slope: SI unit of the force divided by the argument.
     """
 
     name: str = ""
@@ -270,7 +270,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns one characteristic whose force is the sum of slopes and tables."""
+    """Returns one characteristic whose force is the sum of the forces of slopes and tables."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")
@@ -389,9 +389,9 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
     The segments at 0 have the slopes of the given points.
 
     Args:
-        x: argument, ascending, shape (n,).
-        force: force [N], shape (n,).
-        fit_error: largest error relative to the largest force; None for the default.
+        x: values of the argument, ascending, shape (n,).
+        force: force at each value [N], shape (n,).
+        fit_error: largest allowed error as a share of the largest force; None for the default.
 
     Returns:
         Argument and force of the remaining points, shapes (k,), and a description of the approximation.

@@ -122,7 +122,7 @@ class CheckedFields:
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
-    """Raises an InputError if an array has another shape. `why` explains the expected shape."""
+    """Raises an InputError if an array does not have the expected shape. `why` explains the expected shape."""
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
@@ -177,7 +177,7 @@ def accept_former_names(**names: str) -> Callable[[F], F]:
 
 
 def forwarded_attribute(path: str) -> Any:
-    """Returns a property that is an attribute of another object, such as `road.speed` for `self.road.speed`."""
+    """Returns a property that reads an attribute of another object, such as `road.speed` for `self.road.speed`."""
     return property(attrgetter(path), doc=f"The attribute `{path}`.")
 
 

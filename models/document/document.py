@@ -119,7 +119,7 @@ class Document:
     """A result, or a part of a result.
 
     Attributes:
-        title: title, a term of the field.
+        title: title, a technical term that readers know from the literature.
         blocks: statements, tables, figures and documents, in the order of reading.
         detail: lowest level of detail at which the document is shown.
     """
@@ -162,7 +162,7 @@ def worst(statements: Iterable[Statement]) -> State:
 
 
 def notes(*texts: str, detail: Detail = "normal") -> tuple[Statement, ...]:
-    """Returns statements with given texts that make no claim."""
+    """Returns statements that have the given texts and make no claim."""
     return tuple(Statement(text, detail=detail) for text in texts)
 
 

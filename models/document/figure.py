@@ -273,7 +273,8 @@ def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
 def drawn_indices(y: Array, every: int) -> Array:
     """Returns the indices of the points to draw for a line, so that even the shortest peak remains visible.
 
-    In each group of 2 * `every` points, the largest and the smallest are drawn. Both ends of the line are also drawn.
+    In each group of 2 * `every` points, the points with the largest and the smallest value are drawn. Both ends of the line are
+    also drawn.
 
     Args:
         y: values of the line, shape (N,), N at least 1.

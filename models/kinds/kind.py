@@ -253,12 +253,13 @@ class Invariant(CheckedFields):
 
 @dataclass(frozen=True)
 class RidePoints:
-    """Signals of the vertical accelerations at which the ride is measured.
+    """Points at which the ride is measured, each given by the signal of its vertical acceleration.
 
     Attributes:
-        people: points with a person. If the vehicle type does not name them, these are the masses above the body. May be empty.
+        people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, they are
+            the masses above the body.
         others: other points of the body.
-        named: True if the vehicle type names its points with a person.
+        named: True if the vehicle type gives names to the points at which a person sits or stands.
     """
 
     people: tuple[str, ...]
@@ -267,12 +268,12 @@ class RidePoints:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All points; the points with a person are first."""
+        """All points. The points at which a person sits or stands come first."""
         return (*self.people, *self.others)
 
     @property
     def worst_of(self) -> tuple[str, ...]:
-        """Points that determine the ride of the vehicle: the points with a person or, if there is no person, all points."""
+        """Points that determine the ride: those at which a person sits or stands or, if there is no person, all points."""
         return self.people or self.others
 
 
@@ -366,7 +367,7 @@ class VehicleKind(CheckedFields):
         return self  # this object is immutable, so no copy is needed
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
-        """Returns the vehicle type with the named signals on demand after its other signals."""
+        """Returns the vehicle type with the named signals on demand added after the other signals."""
         more = [*self.possible.values()][len(self.signals) :]
         named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
@@ -474,7 +475,7 @@ class VehicleKind(CheckedFields):
         return {}
 
     def full_model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with all possible signals and with all elements at their motion ratios.
+        """Returns the linear model with all possible signals, in which every element acts through its motion ratio.
 
         The signals include the signals on demand, and the suspension velocities that `linear_model` does not return.
         """

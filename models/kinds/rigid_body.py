@@ -361,8 +361,8 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
         name: name of the inertia's parameter.
         inertia: moment of inertia [kg m2].
         mass: mass of the body [kg].
-        size: size of the body [m].
-        of: name of this size, such as "wheelbase".
+        size: length of the body that limits the radius of gyration [m].
+        of: name of this length for the message, such as "wheelbase".
     """
     radius = float(np.sqrt(inertia / mass))
     if radius > size:

@@ -185,11 +185,11 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part as text, and the alternatives to another part with which the part can be combined.
+    """Returns a part as text, followed by the options that it can be combined with instead of another part.
 
     Args:
-        part: the part.
-        beside: the other part.
+        part: part to describe.
+        beside: other part, with which the part cannot be combined.
         written: the part as written in the section.
     """
     if {part, beside} <= KINDS.keys():

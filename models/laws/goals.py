@@ -241,7 +241,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     """Returns a row for each force, with True for each measurement at the corner of the force.
 
     Args:
-        what: the key, for messages.
+        what: name of the key in the vehicle file, for messages.
         measured: names of the measured signals.
         corners: suffix of the signal names at the suspension of each force.
 

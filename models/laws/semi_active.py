@@ -165,9 +165,10 @@ class SemiActiveLaw(LawSource):
 
     Attributes:
         name: name of the law, a key of `LAWS`.
-        numbers: keys that the file gives, with their values.
+        numbers: parameters of the law that the file gives, each as key and value.
         endings: suffixes of the signal names at the suspensions, in the order of the forces.
-        modes: velocities of body modes that the law measures; empty for laws that treat each corner separately.
+        modes: names of the velocity signals of body modes that the law measures; empty for laws that treat each corner
+            separately.
     """
 
     linear, title = False, "a semi-active law"

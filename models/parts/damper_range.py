@@ -236,7 +236,7 @@ class SetColumn:
 
 
 def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> CoefficientRange:
-    """Returns the range of the actuators of N vehicles of one type.
+    """Returns the setting range of the actuators of N vehicles of one type.
 
     Args:
         vehicles: the vehicles.

@@ -55,7 +55,7 @@ class AtRatio(Part):
         part: the part, in terms of its own travel and force.
         table: the motion ratio over travel, or `Constant`.
         scale: factor on the ratios of the table.
-        load: W [N].
+        load: load W that the part carries at the wheel in equilibrium [N].
     """
 
     part: Part

@@ -226,7 +226,7 @@ class Obstacle(Section, Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump (61): one period of a cosine. The defaults are those of the paper (62).
+    """Isolated bump of the paper's (61): one period of a cosine. The default values are those of (62).
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -244,7 +244,7 @@ class Bump(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of equation (61)."""
+        """Returns the height of the bump by equation (61) of the paper [m]."""
         on = self._on(t, side)
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
@@ -267,7 +267,7 @@ class DerivedRoad(Road):
     """Road that is derived from another road, with the same speed, track, duration and kinks.
 
     Attributes:
-        road: the other road.
+        road: road from which this road is derived.
     """
 
     road: Road

@@ -254,7 +254,7 @@ class Implementation(Section):
 
     @property
     def hold_intervals(self) -> tuple[tuple[float, int], ...]:
-        """Intervals of constant force within a sample period: length of each as a share of the period, and delay [samples]."""
+        """Intervals of constant force within a sample period, each as its share of the period and its delay [samples]."""
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -368,7 +368,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """Returns the intervals of constant force within a sample period: length of each in timesteps, and delay [samples]."""
+    """Returns the intervals of constant force within a sample period, each as its length [timesteps] and delay [samples]."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 

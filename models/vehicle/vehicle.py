@@ -145,7 +145,7 @@ class Vehicle(ShownResult):
 
     Attributes:
         kind: vehicle type: equations and MJCF.
-        parameters: SI values by name.
+        parameters: values of the parameters [SI], by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
         text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
