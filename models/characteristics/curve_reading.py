@@ -223,7 +223,7 @@ class SurfaceTable(Section):
 def read_curves(
     section: Mapping[str, Any], parameters: Mapping[str, Argument], load: Callable[[str], float | None] = lambda name: None
 ) -> dict[str, ForceCurve]:
-    """Returns the characteristics of a vehicle, by the parameter that each replaces.
+    """Returns the characteristics of a vehicle, by name of the parameter that each characteristic replaces.
 
     Args:
         section: the section `[curves]`.
@@ -270,7 +270,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns one characteristic whose force is the sum of the forces of slopes and tables."""
+    """Returns one characteristic whose force is the sum of the forces that slopes and tables give."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")

@@ -80,8 +80,8 @@ def check(name: str, value: Any, annotation: Any) -> Any:
 
     Args:
         name: name of the value, for messages.
-        value: the value.
-        annotation: the annotation.
+        value: value to check.
+        annotation: type annotation that the value must fit.
 
     Raises:
         InputError: the value does not fit, or has an unknown unit or a unit of another dimension.

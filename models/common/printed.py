@@ -191,7 +191,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
     The first sentence is always included.
 
     Args:
-        sentences: the sentences.
+        sentences: sentences in the order in which they are printed.
         others: lines that are printed together with the sentences.
         most: largest number of lines.
         source: beginning of the line about omitted sentences.

@@ -415,7 +415,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
     Args:
         where: name of the section, for messages.
         section: dataclass of the section.
-        text: the text.
+        text: text of the section, such as ":class=C:seed=3".
         names: the allowed names; by default, the names of all keys.
 
     Raises:

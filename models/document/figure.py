@@ -175,7 +175,7 @@ class Panel:
         xlabel: label of the horizontal axis with its unit.
         ylabel: label of the vertical axis with its unit; empty for a panel of bars.
         curves: curves in the order of drawing.
-        ground: layer below the curves.
+        ground: cells, bars or shaded intervals that are drawn below the curves; None for only curves.
         xlog: True for a logarithmic horizontal axis.
         ylog: True for a logarithmic vertical axis.
         xticks: ticks of the horizontal axis; empty for automatic ticks.
@@ -204,7 +204,7 @@ class Figure:
     Attributes:
         name: name of the figure's file, without suffix.
         title: caption that explains how to read the figure.
-        panels: panels in rows.
+        panels: panels of the figure, row by row from left to right.
         columns: number of columns of panels.
         finding: result in one sentence; may be empty.
     """

@@ -52,7 +52,7 @@ class Parameter(CheckedFields):
 
     Attributes:
         name: key in `[parameters]`.
-        unit: SI unit.
+        unit: SI unit of the number.
         meaning: description in one line.
         positive: True if 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
         varied: argument without effect, which vehicle types written for earlier versions may still contain.
@@ -142,7 +142,7 @@ class Wheel(CheckedFields):
         road_body: MJCF mocap body of the road under this wheel.
         road_displacement: signal of the road height under this wheel.
         road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
-        tyre_deflection: signal of the tyre deflection.
+        tyre_deflection: signal of the deflection of the tyre on this wheel.
         behind: function of the parameters: distance behind the first wheel [m].
         side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
         lateral: function of the parameters: distance to the left of the vehicle's centre line [m].
@@ -316,7 +316,8 @@ class VehicleKind(CheckedFields):
             the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
         motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
             has no exact equations; MuJoCo is then compared only with the linear model.
-        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
+        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection signal; empty if
+            unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
             Empty unless the type belongs to a vehicle with such ratios.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
@@ -543,7 +544,7 @@ class VehicleKind(CheckedFields):
         return tyres
 
     def deflection_of(self, force: str) -> str:
-        """Returns the deflection of the suspension along which a force acts; empty if the force acts elsewhere."""
+        """Returns the deflection signal of the suspension along which a force acts; empty if the force acts elsewhere."""
         return next((part.deflection for part in self.suspensions if part.force == force), "")
 
     @property

@@ -152,7 +152,7 @@ def track(axle: str, p: Parameters) -> float:
 
 
 def left_out(p: Parameters, angles: Collection[str]) -> str:
-    """Returns a sentence about the moments of the body's weight that the model neglects; empty if it neglects none.
+    """Returns a sentence that describes moments of the body's weight that the model neglects; empty if there are none.
 
     Args:
         p: parameters of the vehicle.

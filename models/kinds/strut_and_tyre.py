@@ -34,7 +34,7 @@ def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: 
     """Writes a suspension into an MjSpec.
 
     Args:
-        spec: the model.
+        spec: MuJoCo model of the vehicle.
         tendon: tendon of the suspension.
         stiffness: spring stiffness [N/m].
         damping: damping coefficient [N s/m].
@@ -63,7 +63,7 @@ def write_tyre(spec: Any, tendon: str, stiffness: float, damping: float, rest: f
     velocity.
 
     Args:
-        spec: the model.
+        spec: MuJoCo model of the vehicle.
         tendon: name of the tyre's tendon.
         stiffness: k [N/m].
         damping: c [N s/m].

@@ -32,7 +32,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     """Executes `NAME.py` in a folder and returns its `KIND`.
 
     Args:
-        folder: folder of the file.
+        folder: folder that contains `NAME.py`.
         name: name of the vehicle type.
 
     Raises:

@@ -153,7 +153,7 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
     """Checks that the parts of a section can be combined.
 
     Args:
-        where: the section, for the message.
+        where: name of the section, for the message.
         parts: parts of the controller's section as written in the file; the type of the controller comes first.
 
     Raises:
@@ -170,7 +170,7 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
     """Checks that a command can be combined with all parts of a section.
 
     Args:
-        where: the section, for the message.
+        where: name of the section, for the message.
         parts: parts of the section as written in the file.
         command: name of a command, a key of `COMMANDS`.
         error: class of the error to raise.

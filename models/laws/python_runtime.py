@@ -84,7 +84,7 @@ class OwnLaw:
 
         Args:
             controller: controller with the law.
-            forces: number of forces.
+            forces: number of forces that the law must return.
 
         Raises:
             InputError: the file fails, or does not contain the function.

@@ -229,7 +229,7 @@ class SemiActive(ControlLaw):
 
     Attributes:
         name: name in the vehicle file.
-        law: the law.
+        law: law that computes the requested coefficients of the dampers.
         code: the exported code that computes the outputs in runs; None if the law itself computes them.
     """
 

@@ -38,7 +38,7 @@ class ElementDamper(Damper):
 
     Attributes:
         name: name of the element's section.
-        element: the element.
+        element: element of `[parts]` that acts as the damper.
     """
 
     replaces = False
@@ -72,7 +72,7 @@ class SetElement(SettablePart):
     """Element whose input is its voltage, before the motion ratio is applied.
 
     Attributes:
-        element: the element.
+        element: element whose voltage a controller sets.
         without: the element without a command, or its linearisation.
     """
 

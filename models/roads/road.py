@@ -330,7 +330,7 @@ class MeasuredRoad(Road):
         Args:
             t: middle times of the steps [s].
             timestep: length of a step [s].
-            side: side of the wheel.
+            side: side of the wheel; see `displacement`.
         """
         return means(lambda t: self.departure(t, side), self.knots, t, timestep)
 
@@ -435,8 +435,8 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
     """Returns the displacement or velocity of a road under every wheel, shape (T, r).
 
     Args:
-        function: `road.displacement` or `road.velocity`.
-        road: the road.
+        function: `road.displacement` or `road.velocity`, the quantity to evaluate.
+        road: road to which this function belongs.
         vehicle: vehicle with r wheels.
         t: times [s], shape (T,).
     """
@@ -474,7 +474,7 @@ class RoadInput:
 
     Attributes:
         vehicle: vehicle with r wheels and l loads on its body.
-        road: the road.
+        road: road that excites the vehicle.
         time: equidistant sample times [s], shape (T,).
         earlier: True to repeat a run of an earlier version. In these runs, the signals at a sample used the load of the step
             that begins at the sample, and vertical edges had only one side.

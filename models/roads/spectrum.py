@@ -100,7 +100,7 @@ def longest_panel(vehicle: Vehicle, speed: float, ahead: float = 0.0) -> float:
     """Returns the largest frequency spacing that resolves the delay of the last axle and the preview time [rad/s].
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose axle positions determine the delays.
         speed: vehicle speed [m/s].
         ahead: preview time, for which the road ahead is known [s].
     """

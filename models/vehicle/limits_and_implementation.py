@@ -83,7 +83,7 @@ class Limits(LimitsSection):
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
-        """Returns the bump and rebound stops of a vehicle by deflection. Suspensions without stops are omitted."""
+        """Returns the bump and rebound stops of a vehicle by deflection signal. Suspensions without stops are omitted."""
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 

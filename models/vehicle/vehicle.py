@@ -151,7 +151,7 @@ class Vehicle(ShownResult):
         text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
             text can be stored in logs. Control laws in Python remain file names.
         source: path of the file, for messages.
-        limits: limits of the hardware.
+        limits: limits of actuators and suspensions.
         implementation: sampling, delay, noise and quantisation of the controller.
         named_files: other files that the vehicle file names, with matrices, vehicle families or tables.
         filters: filter from a weighted signal to z, by signal; signals of constant weight do not have a filter.

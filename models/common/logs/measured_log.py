@@ -69,7 +69,7 @@ def read_measured_log(
 
     Args:
         path: path of the file.
-        units: SI unit of each signal that may be read, by name.
+        units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
         columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
             unit, the heading may contain it.
