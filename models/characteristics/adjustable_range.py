@@ -229,8 +229,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
-        section: section `[actuators]`: keys for all dampers, and sections for single dampers. The name of such a section is the
-            suffix of the damper's force.
+        section: section `[actuators]`: keys for all dampers, and sections for single dampers. The name of a damper's section is
+            the suffix of its force.
         corners: suffix of the name of each control force, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 

@@ -30,7 +30,7 @@ STRAIGHT = 1e-12  # slopes that differ by less than this share of the steepest s
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Segments of a characteristic's deviation from its straight line: P segments for each characteristic, shape (..., P).
+    """Segments of the deviation of characteristics from straight lines: P segments for each characteristic, shape (..., P).
 
     Attributes:
         slope: slope a of each segment [N per unit of the argument], shape (..., P).
@@ -160,7 +160,7 @@ class ForceCurve:
 
     @cached_property
     def is_nonlinear(self) -> bool:
-        """True if the characteristic differs from its straight line in linear analysis."""
+        """True if the characteristic differs from the straight line that linear analysis uses."""
         return len(self.pieces.slope) > 0
 
     @property

@@ -130,7 +130,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that first checks its arguments by their annotations.
 
-    If the function returns a vehicle or runs, it also issues the warnings about them, each warning once.
+    If the function returns a vehicle or runs, each warning about the vehicle or the runs is also issued, once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 

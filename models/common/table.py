@@ -113,7 +113,7 @@ class NumberTable:
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
-        """Returns the cells of a line above the numbers; empty if their number is wrong.
+        """Returns the cells of a line above the numbers; empty if the number of cells is wrong.
 
         The separator may differ from the separator of the numbers.
         """

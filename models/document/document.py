@@ -63,7 +63,7 @@ class Table:
     """A table.
 
     Attributes:
-        name: name of its CSV file, without suffix.
+        name: name of the CSV file to which the table is written, without suffix.
         caption: description of the table's content.
         headings: headings of the columns.
         rows: cells as text. The first cell of a row is its name.
@@ -107,7 +107,7 @@ class Table:
 
     @property
     def records(self) -> list[dict[str, str]]:
-        """The rows for JSON, with their cells by key."""
+        """The rows for JSON: for each row, the cells by the key of the column."""
         return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
 
 

@@ -116,7 +116,7 @@ class Classes:
 
     @property
     def labels(self) -> list[tuple[str, int, int]]:
-        """For every class that has room for its name: the name, and the row and column of the innermost cell."""
+        """Name of every class that has room for its name, with row and column of the innermost cell of the class."""
         entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)

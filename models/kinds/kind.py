@@ -256,8 +256,8 @@ class RidePoints:
     """Points at which the ride is measured, each given by the signal of its vertical acceleration.
 
     Attributes:
-        people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, they are
-            the masses above the body.
+        people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, the
+            masses above the body are used.
         others: other points of the body.
         named: True if the vehicle type gives names to the points at which a person sits or stands.
     """

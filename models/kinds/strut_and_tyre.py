@@ -13,8 +13,8 @@ damping pushes its hub upward with
 where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height is constant over a time step, and so is z_r'.
 A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0.
 At this moment, the equivalent deflection t + (c / k) t' reaches the static deflection. Without damping, the equivalent
-deflection is the deflection t. In the air, the tyre exerts no force. Its rubber is assumed to return immediately to its free
-shape, without a force on the hub.
+deflection is the deflection t. In the air, the tyre exerts no force. The rubber of the tyre is assumed to return immediately to
+its free shape, without a force on the hub.
 """
 
 from typing import Any

@@ -37,7 +37,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
     Raises:
         InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
-            type also raise this error if they fail. `check_together` also raises it if their results are wrong.
+            type also raise this error if they fail. `check_together` also raises this error if the results of these functions
+            are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")

@@ -107,7 +107,7 @@ ONE_KIND = "a controller has either one given law or one design method"
 
 
 def refusal(one: str, other: str) -> str:
-    """Returns the reason why two parts, or a part and a command, cannot be combined; empty if they can."""
+    """Returns the reason why two parts, or a part and a command, cannot be combined; empty if no reason exists."""
     return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED_PAIRS.get(frozenset((one, other)), "")
 
 

@@ -90,7 +90,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: gives the force of a damper to the sky if it can give a force of this sign, else the soft setting."""
+    """Continuous skyhook: the force of a damper to the sky if the damper can give this sign of force, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -225,7 +225,7 @@ class SemiActiveLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class SemiActive(ControlLaw):
-    """Controller with a built-in semi-active law. Linear analysis does not apply to it.
+    """Controller with a built-in semi-active law. Linear analysis does not apply to this controller.
 
     Attributes:
         name: name in the vehicle file.

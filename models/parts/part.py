@@ -462,7 +462,7 @@ class Parts(tuple[SuspensionPart, ...]):
 
     @cached_property
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
-        """Travel at the wheel from equilibrium to every bump stop [m], by deflection signal and by side (`bump` or `rebound`)."""
+        """Travel at the wheel from equilibrium to every bump stop [m], by deflection signal and side (`bump` or `rebound`)."""
         strokes = dict[str, dict[str, float]]()
         for one in self:
             for limit in one.part.limits() if one.part.contact else ():

@@ -274,7 +274,7 @@ class Implementation(Section):
     def without_noise(self) -> "Implementation":
         """The implementation without noise and quantisation.
 
-        Without them, the implementation is linear, and so has a frequency response.
+        Without noise and quantisation, the implementation is linear, and therefore has a frequency response.
         """
         return replace(self, noise={}, quantisation={})
 

@@ -549,7 +549,7 @@ class Vehicle(ShownResult):
 
     @property
     def unladen(self) -> "Vehicle":
-        """The vehicle that its file describes without `[payload]`; the same vehicle if the file has no payload."""
+        """The vehicle without the payload in `[payload]` of the vehicle file; the same vehicle if the file has no payload."""
         toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
@@ -632,7 +632,7 @@ class Vehicle(ShownResult):
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 
     def located(self, error: InputError) -> InputError:
-        """Returns the error with the name of the vehicle file before its message."""
+        """Returns the error with a message that begins with the name of the vehicle file."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
     def check_entry(self, entry: ControllerEntry) -> None:

@@ -36,7 +36,7 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of omitted samples, whose times equal the previous time because the times in the file are rounded.
+        rounded: number of omitted samples, whose times equal the previous time because the file contains rounded times.
     """
 
     source: str

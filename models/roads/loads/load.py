@@ -73,8 +73,8 @@ class Load(ABC):
         Args:
             t: times [s].
             p: parameters of the vehicle [SI], by name.
-            kind: vehicle type, whose links may transmit part of the load to the wheels; None for only the force and its
-                moments.
+            kind: vehicle type, whose links may transmit part of the load to the wheels; None to return only the force and its
+                moments, without the share of the links.
         """
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
