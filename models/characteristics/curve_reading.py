@@ -440,7 +440,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
 
 
 def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
-    """Returns the force of a damper over velocity and deflection, read from the table in the file."""
+    """Returns the force of a damper over velocity and deflection from the table in the section."""
     given = read(where, SurfaceTable, entry)
     v, d, table = np.array(given.velocity), np.array(given.deflection), np.array(given.force)
     with error_in(f"{where}:"):

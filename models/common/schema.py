@@ -401,7 +401,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Adds section and key to the message of an InputError, in place of `HERE` or, without `HERE`, before the message."""
+    """Adds section and key to the message of an InputError, instead of `HERE` or, without `HERE`, at the beginning."""
     try:
         yield
     except InputError as error:

@@ -113,7 +113,7 @@ class LinearModel:
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns the given signals that are heights above a flat datum. Only a law of a theoretical study may measure these signals."""
+        """Returns the given signals that are heights above a flat datum. Only a law of a theoretical study may measure them."""
         return [name for name in self.heights if name in signals]
 
     @property

@@ -185,7 +185,7 @@ class _Inertial(RampedLoad):
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the inertial force of the body [N], and the acceleration that causes it [m/s2]."""
+        """Returns the name of the moment, the inertial force of the body [N] and the acceleration [m/s2]."""
         return self.way, _mass(p) * GRAVITY * self.g, GRAVITY * self.g
 
 
