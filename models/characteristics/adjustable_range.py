@@ -73,7 +73,7 @@ class Envelope:
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Ramps whose sum is the deviation of h from a line: knot [m/s], increase of the slope beyond the knot, side (1 or -1).
+        """Ramps whose sum is the deviation of h from a line, each as knot [m/s], slope increase beyond it, and side (1 or -1).
 
         The increase of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of its actuator as a
         damping ratio.
@@ -229,8 +229,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
-        section: keys for all dampers, and sections for single dampers; the name of a section is the suffix of the damper's
-            force.
+        section: section `[actuators]`: keys for all dampers, and sections for single dampers. The name of a damper's section is
+            the suffix of its force.
         corners: suffix of the name of each control force, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 

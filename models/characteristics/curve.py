@@ -1,11 +1,11 @@
 """Piecewise linear characteristics: a damper's force over velocity, or a spring's force over deflection.
 
 Velocity and deflection are positive if the suspension extends. A force is positive if it pulls body and wheel together, so a
-damper dissipates energy if force and velocity have the same sign. Beyond its last points, a characteristic continues with its
-last slope.
+damper dissipates energy if force and velocity have the same sign. Outside the range of its points, a characteristic is
+extrapolated linearly with the slopes of its first and last segments.
 
-Linear analysis uses the slope s at 0; at a kink, it uses the mean slope of both sides. The deviation of the force F from this
-line is a sum of straight segments, each between two bounds:
+Linear analysis uses the slope s at 0; at a kink, it uses the mean of the slopes on the two sides. The deviation of the force F
+from this line is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
@@ -30,7 +30,7 @@ STRAIGHT = 1e-12  # slopes that differ by less than this share of the steepest s
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Segments of a characteristic's deviation from its straight line: P segments for each characteristic, shape (..., P).
+    """Segments of the deviation of characteristics from straight lines: P segments for each characteristic, shape (..., P).
 
     Attributes:
         slope: slope a of each segment [N per unit of the argument], shape (..., P).
@@ -116,7 +116,7 @@ class ForceCurve:
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
     def about_load(self, more: float) -> "ForceCurve":
-        """Returns the characteristic of a spring relative to the equilibrium at which it carries more load.
+        """Returns the characteristic of a spring relative to the equilibrium at which the spring carries an additional load.
 
         Args:
             more: additional load [N].
@@ -160,7 +160,7 @@ class ForceCurve:
 
     @cached_property
     def is_nonlinear(self) -> bool:
-        """True if the characteristic differs from its straight line in linear analysis."""
+        """True if the characteristic differs from the straight line that linear analysis uses."""
         return len(self.pieces.slope) > 0
 
     @property

@@ -273,7 +273,7 @@ def _of_ratio(text: str) -> dict[str, Any]:
 
 
 def _role(heading: Heading) -> str:
-    """Returns the quantity of a column, a key of `ROLES`, from its heading's words or unit; empty for other quantities."""
+    """Returns the quantity of a column, a key of `ROLES`, from the words or unit of the heading; empty for other quantities."""
     for role, words in ROLES.items():
         if heading.words & words:
             return role

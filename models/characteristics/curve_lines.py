@@ -18,7 +18,7 @@ NOISE = 4 / 2.4
 def point_indices(x: Array, force: Array, error: float) -> Array:
     """Returns the indices of the points of an approximation, shape (k,).
 
-    These are the first point, the last point, 0, and as few other points as possible.
+    These are the first point, the last point, the point at 0, and as few other points as possible.
 
     Args:
         x: points of the characteristic, ascending, including 0, shape (n,).

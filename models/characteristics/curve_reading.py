@@ -70,10 +70,10 @@ class Argument(ListedValues):
     """Argument of a characteristic, which a file gives as a list of ascending values.
 
     Attributes:
-        name: key of the argument.
+        name: key of the list in the file, such as "velocity".
         largest: largest allowed value; a larger value probably has a wrong unit.
-        small: the unit in which larger values are probably given.
-        slope: SI unit of force over the argument.
+        small: smaller unit in which a value above `largest` is probably given, for messages.
+        slope: SI unit of the force divided by the argument.
     """
 
     name: str = ""
@@ -223,7 +223,7 @@ class SurfaceTable(Section):
 def read_curves(
     section: Mapping[str, Any], parameters: Mapping[str, Argument], load: Callable[[str], float | None] = lambda name: None
 ) -> dict[str, ForceCurve]:
-    """Returns the characteristics of a vehicle, by the parameter that each replaces.
+    """Returns the characteristics of a vehicle, by name of the parameter that each characteristic replaces.
 
     Args:
         section: the section `[curves]`.
@@ -270,7 +270,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns one characteristic whose force is the sum of slopes and tables."""
+    """Returns one characteristic whose force is the sum of the forces that slopes and tables give."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")
@@ -389,9 +389,9 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
     The segments at 0 have the slopes of the given points.
 
     Args:
-        x: argument, ascending, shape (n,).
-        force: force [N], shape (n,).
-        fit_error: largest error relative to the largest force; None for the default.
+        x: values of the argument, ascending, shape (n,).
+        force: force at each value [N], shape (n,).
+        fit_error: largest allowed error as a share of the largest force; None for the default.
 
     Returns:
         Argument and force of the remaining points, shapes (k,), and a description of the approximation.
@@ -440,7 +440,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
 
 
 def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
-    """Returns a damper's force over velocity and deflection from its table."""
+    """Returns the force of a damper over velocity and deflection from the table in the section."""
     given = read(where, SurfaceTable, entry)
     v, d, table = np.array(given.velocity), np.array(given.deflection), np.array(given.force)
     with error_in(f"{where}:"):

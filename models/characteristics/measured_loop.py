@@ -28,14 +28,14 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     """Returns the mean characteristic of a hysteresis loop, or None if the points do not form a loop.
 
     Args:
-        x: argument in the order of the measurement, shape (n,).
-        force: force [N], shape (n,).
-        unit: unit of the argument.
+        x: values of the argument in the order of the measurement, shape (n,).
+        force: force at each of these values [N], shape (n,).
+        unit: unit of the argument, for the phrase.
         at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.
 
     Returns:
-        Argument (ascending) and force of the mean, shapes (k,), and a phrase for the note. The phrase gives the largest
-        hysteresis, the subtracted force and, for a damper, the coefficient that dissipates the same energy.
+        Argument (ascending) and force of the mean characteristic, shapes (k,), and a phrase for the note. The phrase gives the
+        largest hysteresis, the subtracted force and, for a damper, the coefficient that dissipates the same energy.
     """
     from scipy.optimize import isotonic_regression
     from scipy.signal import find_peaks

@@ -52,13 +52,13 @@ class RatioTable:
 
     @cached_property
     def relative_slope(self) -> float:
-        """Relative slope r'(0) / r(0) [1/m], where r'(0) is the mean of the slopes on both sides."""
+        """Relative slope r'(0) / r(0) [1/m], where r'(0) is the mean of the slopes on both sides of 0."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
         return slope_at_rest(x, self(x)) / self.at_rest
 
     def scaled(self, at_rest: float) -> "RatioTable":
-        """Returns the table multiplied by such a factor that the ratio in equilibrium has a given value."""
+        """Returns the table multiplied by a factor, so that the ratio in equilibrium has a given value."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
     def shifted_to(self, rest: float) -> "RatioTable":
@@ -82,7 +82,7 @@ class RatioTable:
         Args:
             rate: stiffness of the spring [N/m].
             load: load that the spring carries at deflection 0 [N].
-            other: the other load [N].
+            other: load that the spring carries at the returned deflection [N].
         """
         low, high = -FARTHEST, FARTHEST
         for _ in range(HALVINGS):
@@ -142,14 +142,14 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic between two ends of travel, at which the largest force of an element is computed."""
+    """Returns a straight characteristic with points at 0 and at two ends of travel, where the largest force is computed."""
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
 
 
 @dataclass(frozen=True)
 class RatioSection(TableSection):
-    """Section of a motion ratio over travel."""
+    """Section with the table of a motion ratio over travel."""
 
     arguments: ClassVar[tuple[str, ...]] = (DEFLECTION.name,)
     of: ClassVar[str] = RATIO

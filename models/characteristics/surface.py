@@ -1,8 +1,9 @@
 """A damper's force over velocity v and deflection d, as a table with bilinear interpolation.
 
-Velocity and deflection are positive in extension, as in `models.characteristics.curve`. Beyond its velocities, the table
-continues with its last slopes. Beyond its deflections, it keeps its last column. The ratio r of damper travel to suspension
-travel is given at each deflection and interpolated linearly. The force in the direction of the suspension's deflection is
+Velocity and deflection are positive in extension, as in `models.characteristics.curve`. Outside its range of velocities, the
+table is extrapolated linearly with the slopes at its ends. Outside its range of deflections, the table keeps the values of its
+first or last column. The ratio r of damper travel to suspension travel is given at each deflection and interpolated linearly.
+The force in the direction of the suspension's deflection is
 
     F(v, d) = r(d) G(r(d) v, d),    G(u, d) = a + b u + (c + e u) d    in each cell of the table.
 

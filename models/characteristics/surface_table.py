@@ -1,8 +1,7 @@
 """CSV files of a damper's force over velocity and deflection, in two forms.
 
 A sheet has deflections in its first row and velocities in its first column. The first cell of a sheet contains the quantities
-and their
-units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of
+and units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of
 velocity and deflection.
 """
 
@@ -27,7 +26,7 @@ PAIRS_PER_ROW = 4
 
 
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:
-    """Returns the table of a CSV file in SI units, positive in extension, sorted.
+    """Returns the table of a CSV file, sorted and in SI units. Velocities and deflections are positive in extension.
 
     Returns None for other files, such as a measured loop.
 

@@ -80,8 +80,8 @@ def check(name: str, value: Any, annotation: Any) -> Any:
 
     Args:
         name: name of the value, for messages.
-        value: the value.
-        annotation: the annotation.
+        value: value to check.
+        annotation: type annotation that the value must fit.
 
     Raises:
         InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
@@ -122,7 +122,7 @@ class CheckedFields:
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
-    """Raises an InputError if an array has another shape. `why` explains the expected shape."""
+    """Raises an InputError if an array does not have the expected shape. `why` explains the expected shape."""
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
@@ -130,7 +130,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that first checks its arguments by their annotations.
 
-    If the function returns a vehicle or runs, it also issues the warnings about them, each warning once.
+    If the function returns a vehicle or runs, each warning about the vehicle or the runs is also issued, once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
@@ -177,7 +177,7 @@ def accept_former_names(**names: str) -> Callable[[F], F]:
 
 
 def forwarded_attribute(path: str) -> Any:
-    """Returns a property that is an attribute of another object, such as `road.speed` for `self.road.speed`."""
+    """Returns a property that reads an attribute of another object, such as `road.speed` for `self.road.speed`."""
     return property(attrgetter(path), doc=f"The attribute `{path}`.")
 
 

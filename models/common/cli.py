@@ -30,7 +30,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
 
     Args:
         command: full name of the module, such as `sim.bump`.
-        arguments: arguments of its `main`.
+        arguments: arguments with which `main` is called.
     """
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)

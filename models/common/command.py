@@ -19,7 +19,7 @@ PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglo
 
 
 def versions() -> dict[str, str]:
-    """Returns the versions of Python and of all packages on which the numbers depend."""
+    """Returns the versions of Python and of all packages that influence numerical results."""
     return dict(_versions())
 
 
@@ -176,7 +176,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Adds an option for an integer from `low` to `high`, or for several integers if `many` is True.
 
-        `unset` is its default.
+        `unset` is the value without the option, which `default` describes in the help text.
         """
 
         def count(text: str) -> int:
@@ -209,7 +209,7 @@ class Parser(argparse.ArgumentParser):
     def add_exported(
         self, what: str = "run the controller as compiled code from this folder, which roadproof synth --export wrote"
     ) -> None:
-        """Adds the option `--as`."""
+        """Adds the option `--as`, which names the folder of exported code; `what` is its help text."""
         self.add_argument("--as", dest="exported", type=Path, metavar="DIR", help=what)
 
     def add_loads(self, what: str, syntax: str) -> None:

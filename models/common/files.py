@@ -194,7 +194,7 @@ def _target(path: Path, what: str, instead: str) -> Path:
 
 
 def _is_stream(path: Path) -> bool:
-    """Returns True for standard output, a pipe or a device: content is written to them, but they are not replaced."""
+    """Returns True for standard output, a pipe or a device: a file that is written to, but not replaced."""
     return path == STDOUT or (path.exists() and not path.is_file() and not path.is_dir())
 
 
@@ -226,7 +226,8 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
         give: advice for the message: what to do instead.
 
     Raises:
-        InputError: the block failed. If the block raises an InputError, its message follows the purpose and the path.
+        InputError: the block failed. If the block raises an InputError, the message of this error follows the purpose and the
+            path.
     """
     try:
         yield

@@ -191,7 +191,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
     The first sentence is always included.
 
     Args:
-        sentences: the sentences.
+        sentences: sentences in the order in which they are printed.
         others: lines that are printed together with the sentences.
         most: largest number of lines.
         source: beginning of the line about omitted sentences.
@@ -263,7 +263,7 @@ def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str
 
 
 def command(words: Sequence[str]) -> list[str]:
-    """Returns a command to copy, wrapped with backslashes. Each of `words` is an option with its value."""
+    """Returns a command to copy, wrapped with backslashes. Each text in `words` is an option together with its value."""
     lines, line = [], GAP + words[0]
     for word in words[1:]:
         if len(f"{line} {word} \\") > WIDTH:

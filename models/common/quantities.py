@@ -85,7 +85,7 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """Quantity of the column, a key of `QUANTITIES`; empty if a word is unknown, or if none or several are named."""
+        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if none or several are named."""
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
             named.discard("height")  # a heading "left height" means the same as "height left"
@@ -98,7 +98,7 @@ class Heading:
 
     @property
     def direction(self) -> int:
-        """Positive direction according to the words: 1 for extension, -1 for compression, 0 if neither or both are given."""
+        """Positive direction that the heading gives: 1 for extension, -1 for compression, 0 if it gives neither or both."""
         return sum({DIRECTIONS[word] for word in self.words & DIRECTIONS.keys()})
 
     def scale(self, quantity: str, option: str = "", given: str = "", default: str = "") -> float:
@@ -128,7 +128,7 @@ class Heading:
 
 
 def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
-    """Returns a heading from its cell: `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
+    """Returns a heading from the text of its cell, such as `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
 
     If `units` contains units of force, a pound (lb) is a force.
 

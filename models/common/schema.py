@@ -401,7 +401,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Adds section and key to the message of an InputError: either `HERE` is replaced, or they precede the message."""
+    """Adds section and key to the message of an InputError, instead of `HERE` or, without `HERE`, at the beginning."""
     try:
         yield
     except InputError as error:
@@ -415,7 +415,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
     Args:
         where: name of the section, for messages.
         section: dataclass of the section.
-        text: the text.
+        text: text of the section, such as ":class=C:seed=3".
         names: the allowed names; by default, the names of all keys.
 
     Raises:

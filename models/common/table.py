@@ -54,7 +54,7 @@ class NumberTable:
     Attributes:
         lines: lines of the text.
         first: index of the first line of numbers.
-        separator: separator of cells.
+        separator: character that separates the cells of a line.
         count: number of columns.
         give: description of the content that the file must have, for messages.
     """
@@ -113,7 +113,7 @@ class NumberTable:
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
-        """Returns the cells of a line above the numbers; empty if their number is wrong.
+        """Returns the cells of a line above the numbers; empty if the number of cells is wrong.
 
         The separator may differ from the separator of the numbers.
         """
@@ -187,7 +187,7 @@ class NumberTable:
         Times of day may cross midnight once.
 
         Args:
-            heading: heading of the column.
+            heading: heading of the column of times.
             default: the unit of a heading without a unit; empty if a unit is required.
 
         Raises:
@@ -333,10 +333,10 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
     """Finds the table in a text. The table begins with the first line that has a number in a given column.
 
     Args:
-        text: the text.
+        text: text of the whole file.
         give: description of the content that the file must have, for messages.
         separator: separator from `SEPARATORS`; empty to detect the separator in that line.
-        column: number of this column, counted from 0.
+        column: number of the column in which the first line must have a number, counted from 0.
 
     Raises:
         InputError: no line has a number in this column.

@@ -21,7 +21,7 @@ class Replacement:
         path: names of the sections that contain the key, from the outermost, and the name of the key itself.
         values: the new keys with their values.
         comment: comment on the line above; empty for no comment.
-        files: the files that contain the values.
+        files: paths of the files from which the values were read.
     """
 
     path: tuple[str, ...]
@@ -83,7 +83,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
     Args:
         body: body of the document or of a table.
         path: names of the sections of the key, and of the key itself.
-        line: place of the item on whose line this body is; None for a body with separate lines.
+        line: place of the item whose line contains this whole body; None for a body with separate lines.
 
     Returns:
         Two places, each as a body and an index: the item of the key, and the item on whose line the key is.

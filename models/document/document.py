@@ -63,7 +63,7 @@ class Table:
     """A table.
 
     Attributes:
-        name: name of its CSV file, without suffix.
+        name: name of the CSV file to which the table is written, without suffix.
         caption: description of the table's content.
         headings: headings of the columns.
         rows: cells as text. The first cell of a row is its name.
@@ -107,7 +107,7 @@ class Table:
 
     @property
     def records(self) -> list[dict[str, str]]:
-        """The rows for JSON, with their cells by key."""
+        """The rows for JSON: for each row, the cells by the key of the column."""
         return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
 
 
@@ -119,7 +119,7 @@ class Document:
     """A result, or a part of a result.
 
     Attributes:
-        title: title, a term of the field.
+        title: title, a technical term that readers know from the literature.
         blocks: statements, tables, figures and documents, in the order of reading.
         detail: lowest level of detail at which the document is shown.
     """
@@ -162,7 +162,7 @@ def worst(statements: Iterable[Statement]) -> State:
 
 
 def notes(*texts: str, detail: Detail = "normal") -> tuple[Statement, ...]:
-    """Returns statements with given texts that make no claim."""
+    """Returns statements that have the given texts and make no claim."""
     return tuple(Statement(text, detail=detail) for text in texts)
 
 

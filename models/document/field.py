@@ -62,7 +62,7 @@ class Field(Generic[Of]):
         return f"{self.digits(value)} {self.unit}".rstrip()
 
     def of(self, get: Callable[[T], Of | None], label: str = "") -> "Field[T]":
-        """Returns the field for objects that contain such a result.
+        """Returns the field for objects that contain a result of this type.
 
         Args:
             get: function that returns the result in an object, or None for an object without a result.
@@ -124,7 +124,7 @@ class Record(Generic[T]):
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a value with which another record can contain objects of this record.
+        """Returns a value for another record, which then contains objects of this record.
 
         Args:
             get: field, function or attribute that gives one result, or a list, tuple or mapping of results.

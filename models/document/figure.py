@@ -116,7 +116,7 @@ class Classes:
 
     @property
     def labels(self) -> list[tuple[str, int, int]]:
-        """For every class that has room for its name: the name, and the row and column of the innermost cell."""
+        """Name of every class that has room for its name, with row and column of the innermost cell of the class."""
         entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)
@@ -175,7 +175,7 @@ class Panel:
         xlabel: label of the horizontal axis with its unit.
         ylabel: label of the vertical axis with its unit; empty for a panel of bars.
         curves: curves in the order of drawing.
-        ground: layer below the curves.
+        ground: cells, bars or shaded intervals that are drawn below the curves; None for only curves.
         xlog: True for a logarithmic horizontal axis.
         ylog: True for a logarithmic vertical axis.
         xticks: ticks of the horizontal axis; empty for automatic ticks.
@@ -204,7 +204,7 @@ class Figure:
     Attributes:
         name: name of the figure's file, without suffix.
         title: caption that explains how to read the figure.
-        panels: panels in rows.
+        panels: panels of the figure, row by row from left to right.
         columns: number of columns of panels.
         finding: result in one sentence; may be empty.
     """
@@ -273,7 +273,8 @@ def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
 def drawn_indices(y: Array, every: int) -> Array:
     """Returns the indices of the points to draw for a line, so that even the shortest peak remains visible.
 
-    In each group of 2 * `every` points, the largest and the smallest are drawn. Both ends of the line are also drawn.
+    In each group of 2 * `every` points, the points with the largest and the smallest value are drawn. Both ends of the line are
+    also drawn.
 
     Args:
         y: values of the line, shape (N,), N at least 1.

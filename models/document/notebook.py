@@ -22,7 +22,8 @@ def gain_figure(
         C: output matrix, shape (p, n).
         D: feedthrough matrix, shape (p, r).
         dt: sample period [s]; None for a continuous system.
-        levels: levels of at most two horizontal lines, by name; a line with the level None is omitted.
+        levels: gains that are marked by horizontal lines, at most two, by name of the line; a line with the gain None is
+            omitted.
     """
     poles = np.linalg.eigvals(A).astype(complex)
     speeds = np.abs(poles if dt is None else np.log(np.where(poles == 0, 1, poles)) / dt)

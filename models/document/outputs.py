@@ -33,7 +33,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
     Args:
         outputs: paths by type of output (csv, picture, report, save, vehicle, logs or figures); None for outputs that are not
             requested.
-        read: input files, under any of their names.
+        read: paths of the input files. An output may not replace an input file, even under another name or through a link.
         json: True if standard output is reserved for one JSON object.
 
     Raises:

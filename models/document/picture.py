@@ -147,7 +147,7 @@ def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
         x: horizontal grid, shape (N,).
         y: vertical grid, shape (M,).
         z: values on the grid, shape (M, N).
-        height: level of the contour.
+        height: value of z on the contour.
     """
     with _settings():
         pieces = _Sheet(1, 1).canvas.add_subplot().contour(x, y, np.ma.masked_invalid(z), [height]).allsegs[0]

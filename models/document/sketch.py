@@ -94,7 +94,7 @@ class Sketch:
     Attributes:
         title: title of the sketch.
         views: views from top to bottom.
-        rows: symbol, meaning and value of all drawn or existing parts. A symbol may be empty.
+        rows: symbol, meaning and value of each part that is drawn or exists. A symbol may be empty.
     """
 
     title: str
@@ -116,7 +116,7 @@ def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alo
     """Returns a sketch as an SVG element. The rows of the sketch are its text alternative.
 
     Args:
-        sketch: the sketch.
+        sketch: sketch to draw.
         road: function from the place along the view [m] to the height of the road in the drawing, positive upwards; None for a
             flat road.
         alone: True for a separate file, with dark lines on white.

@@ -55,7 +55,7 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
     no room for the normal lines.
 
     Args:
-        document: the document.
+        document: document whose lines are returned.
         verbose: True for all lines.
         others: lines that are printed together with the document.
     """

@@ -179,7 +179,7 @@ class Car:
         rigid_body.write_mjcf(spec, self.body(p))
 
     def wheel_loads(self, p: Parameters) -> tuple[BodyLoad, ...]:
-        """Returns the loads on the wheels."""
+        """Returns the loads on the wheels due to suspension links and wheel inertia."""
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:

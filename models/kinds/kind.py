@@ -52,7 +52,7 @@ class Parameter(CheckedFields):
 
     Attributes:
         name: key in `[parameters]`.
-        unit: SI unit.
+        unit: SI unit of the number.
         meaning: description in one line.
         positive: True if 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
         varied: argument without effect, which vehicle types written for earlier versions may still contain.
@@ -142,7 +142,7 @@ class Wheel(CheckedFields):
         road_body: MJCF mocap body of the road under this wheel.
         road_displacement: signal of the road height under this wheel.
         road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
-        tyre_deflection: signal of the tyre deflection.
+        tyre_deflection: signal of the deflection of the tyre on this wheel.
         behind: function of the parameters: distance behind the first wheel [m].
         side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
         lateral: function of the parameters: distance to the left of the vehicle's centre line [m].
@@ -253,12 +253,13 @@ class Invariant(CheckedFields):
 
 @dataclass(frozen=True)
 class RidePoints:
-    """Signals of the vertical accelerations at which the ride is measured.
+    """Points at which the ride is measured, each given by the signal of its vertical acceleration.
 
     Attributes:
-        people: points with a person. If the vehicle type does not name them, these are the masses above the body. May be empty.
+        people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, the
+            masses above the body are used.
         others: other points of the body.
-        named: True if the vehicle type names its points with a person.
+        named: True if the vehicle type gives names to the points at which a person sits or stands.
     """
 
     people: tuple[str, ...]
@@ -267,12 +268,12 @@ class RidePoints:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All points; the points with a person are first."""
+        """All points. The points at which a person sits or stands come first."""
         return (*self.people, *self.others)
 
     @property
     def worst_of(self) -> tuple[str, ...]:
-        """Points that determine the ride of the vehicle: the points with a person or, if there is no person, all points."""
+        """Points that determine the ride: those at which a person sits or stands or, if there is no person, all points."""
         return self.people or self.others
 
 
@@ -315,7 +316,8 @@ class VehicleKind(CheckedFields):
             the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
         motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
             has no exact equations; MuJoCo is then compared only with the linear model.
-        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
+        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection signal; empty if
+            unknown.
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
             Empty unless the type belongs to a vehicle with such ratios.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
@@ -366,7 +368,7 @@ class VehicleKind(CheckedFields):
         return self  # this object is immutable, so no copy is needed
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
-        """Returns the vehicle type with the named signals on demand after its other signals."""
+        """Returns the vehicle type with the named signals on demand added after the other signals."""
         more = [*self.possible.values()][len(self.signals) :]
         named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
@@ -474,7 +476,7 @@ class VehicleKind(CheckedFields):
         return {}
 
     def full_model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with all possible signals and with all elements at their motion ratios.
+        """Returns the linear model with all possible signals, in which every element acts through its motion ratio.
 
         The signals include the signals on demand, and the suspension velocities that `linear_model` does not return.
         """
@@ -542,7 +544,7 @@ class VehicleKind(CheckedFields):
         return tyres
 
     def deflection_of(self, force: str) -> str:
-        """Returns the deflection of the suspension along which a force acts; empty if the force acts elsewhere."""
+        """Returns the deflection signal of the suspension along which a force acts; empty if the force acts elsewhere."""
         return next((part.deflection for part in self.suspensions if part.force == force), "")
 
     @property

@@ -196,8 +196,8 @@ class LinearModel:
 
         Args:
             names: names of the additional states.
-            rates: gains from the states to the rates of the additional states. The shape is (k, n) for gains from the states of
-                this model, or (k, n + k) for gains from all states.
+            rates: gains from the states to the rates of the additional states. The shape is (k, n) for gains from the n states
+                of this model, or (k, n + k) if the additional states have gains, too.
             more: rows of B, Bw, Bt, Br and Bl for the additional states; zero by default.
         """
         k, n = len(names), len(self.A)

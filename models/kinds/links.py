@@ -35,7 +35,7 @@ with independent suspension. Vehicle files contain the shares themselves, so bot
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
 of the wheels does not act on the body. The inertial force of the wheels acts at their height, so it is a moment on the tyres.
-In cornering, it acts on the same axle; in braking, on both axles together.
+In cornering, this moment acts on the same axle; in braking, on both axles together.
 
 A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
 whole lateral force.
@@ -152,7 +152,7 @@ def track(axle: str, p: Parameters) -> float:
 
 
 def left_out(p: Parameters, angles: Collection[str]) -> str:
-    """Returns a sentence about the moments of the body's weight that the model neglects; empty if it neglects none.
+    """Returns a sentence that describes moments of the body's weight that the model neglects; empty if there are none.
 
     Args:
         p: parameters of the vehicle.

@@ -42,7 +42,7 @@ class Motion(Protocol):
             state: states, shape (T, n).
             heights: road heights under the wheels [m], shape (T, r).
             inputs: forces at the wheels [N], shape (T, m).
-            pulls: forces of the suspensions in addition to their linear springs and dampers.
+            pulls: function that returns the suspension forces other than those of linear springs and dampers [N].
             loads: loads on the body [N, N m], shape (T, l). If tyres have damping, further columns contain the road velocities
                 [m/s], shape (T, l + r).
         """

@@ -125,7 +125,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
     ratio are approximate. Dampers with a characteristic are omitted here; `suspension_doubts` checks them.
 
     Args:
-        vehicle: the `Vehicle`.
+        vehicle: `Vehicle` whose quantities are returned.
     """
     kind, limits, how, axles = (
         vehicle.kind,

@@ -158,7 +158,7 @@ class RigidBody:
     """Rigid body on c corners.
 
     Attributes:
-        corners: the c corners.
+        corners: c wheels with their suspensions, in the order of the signals.
         mass: sprung mass [kg].
         pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2]; None for a body that does
             not pitch.
@@ -169,7 +169,7 @@ class RigidBody:
         pitch_arm: height of the centre of mass above the pitch axis that links define [m]. None if links do not define a pitch
             axis; the body then pitches about its centre of mass, and its weight has no moment.
         roll_arm: height of the centre of mass above the roll axis [m]; None if links do not define a roll axis.
-        wheel_loads: loads on the wheels.
+        wheel_loads: loads on the wheels due to suspension links and wheel inertia.
         seat_mass: mass on a seat above the body, not included in `mass` [kg].
         seat_x: position of the seat forward of the centre of mass [m].
         seat_y: position of the seat to the left of the centre of mass [m].
@@ -242,7 +242,7 @@ class RigidBody:
         return np.linalg.pinv(self.shape.T) @ weight
 
     def static_tyre_deflection(self) -> dict[str, float]:
-        """Returns the compression of each tyre in equilibrium [m], by its signal."""
+        """Returns the compression of each tyre in equilibrium [m], by tyre deflection signal."""
         loads = zip(self.corners, self.static_loads(), strict=True)
         return {
             f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness
@@ -361,8 +361,8 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
         name: name of the inertia's parameter.
         inertia: moment of inertia [kg m2].
         mass: mass of the body [kg].
-        size: size of the body [m].
-        of: name of this size, such as "wheelbase".
+        size: length of the body that limits the radius of gyration [m].
+        of: name of this length for the message, such as "wheelbase".
     """
     radius = float(np.sqrt(inertia / mass))
     if radius > size:

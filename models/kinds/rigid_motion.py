@@ -235,7 +235,7 @@ class RigidMotion:
             sin: sine of theta, as `tilt` returns it.
             cos: cosine of theta.
             side: sine of phi.
-            s: value s, as `tilt` returns it.
+            s: distance s [m], as `tilt` returns it.
         """
         body, b = self.body, self.body.roll_arm or 0.0
         inertias, entries = list[Array | float](), list[Array]()
@@ -309,7 +309,7 @@ def rigid_motion(body: RigidBody, signals: Sequence[Signal], further: Sequence[S
     """Returns the equations of motion of a body.
 
     Args:
-        body: the body.
+        body: body with its masses, geometry, springs and dampers.
         signals: signals of the c suspension deflections, the c tyre deflections, the rates of the body's modes, and the c hub
             velocities.
         further: additional signals, as in `RigidMotion`.

@@ -40,7 +40,7 @@ class SeatedMotion:
 
     Attributes:
         car: equations of the body, with the static loads of body and seat.
-        seat: the seat.
+        seat: seat with its mass, position, spring and damper.
     """
 
     car: RigidMotion
@@ -105,7 +105,7 @@ class SeatedMotion:
         return self.car.energy(car, heights) + np.stack([potential, seat.mass * (velocity**2).sum(axis=1) / 2], axis=-1)
 
     def _pushed(self, travel: Array, speed: Array) -> Array:
-        """Returns the force of spring and damper on the seat along its travel [N], shape (T,)."""
+        """Returns the force of spring and damper on the seat in the direction of the seat's travel [N], shape (T,)."""
         return self.seat.mass * GRAVITY - self.seat.stiffness * travel - self.seat.damping * speed
 
     def _split(self, state: Array) -> tuple[Array, Array, Array]:

@@ -14,7 +14,7 @@ class Signal(CheckedFields):
     Attributes:
         name: name in all models, files and plots.
         symbol: symbol in the paper, or the usual symbol.
-        unit: SI unit.
+        unit: SI unit of the quantity.
         meaning: description in one line, with the sign convention.
     """
 

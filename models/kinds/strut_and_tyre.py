@@ -13,8 +13,8 @@ damping pushes its hub upward with
 where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height is constant over a time step, and so is z_r'.
 A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0.
 At this moment, the equivalent deflection t + (c / k) t' reaches the static deflection. Without damping, the equivalent
-deflection is the deflection t. In the air, the tyre exerts no force. Its rubber is assumed to return immediately to its free
-shape, without a force on the hub.
+deflection is the deflection t. In the air, the tyre exerts no force. The rubber of the tyre is assumed to return immediately to
+its free shape, without a force on the hub.
 """
 
 from typing import Any
@@ -34,7 +34,7 @@ def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: 
     """Writes a suspension into an MjSpec.
 
     Args:
-        spec: the model.
+        spec: MuJoCo model of the vehicle.
         tendon: tendon of the suspension.
         stiffness: spring stiffness [N/m].
         damping: damping coefficient [N s/m].
@@ -63,7 +63,7 @@ def write_tyre(spec: Any, tendon: str, stiffness: float, damping: float, rest: f
     velocity.
 
     Args:
-        spec: the model.
+        spec: MuJoCo model of the vehicle.
         tendon: name of the tyre's tendon.
         stiffness: k [N/m].
         damping: c [N s/m].

@@ -32,12 +32,13 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     """Executes `NAME.py` in a folder and returns its `KIND`.
 
     Args:
-        folder: folder of the file.
+        folder: folder that contains `NAME.py`.
         name: name of the vehicle type.
 
     Raises:
         InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
-            type also raise this error if they fail. `check_together` also raises it if their results are wrong.
+            type also raise this error if they fail. `check_together` also raises this error if the results of these functions
+            are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")

@@ -107,7 +107,7 @@ ONE_KIND = "a controller has either one given law or one design method"
 
 
 def refusal(one: str, other: str) -> str:
-    """Returns the reason why two parts, or a part and a command, cannot be combined; empty if they can."""
+    """Returns the reason why two parts, or a part and a command, cannot be combined; empty if no reason exists."""
     return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED_PAIRS.get(frozenset((one, other)), "")
 
 
@@ -153,7 +153,7 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
     """Checks that the parts of a section can be combined.
 
     Args:
-        where: the section, for the message.
+        where: name of the section, for the message.
         parts: parts of the controller's section as written in the file; the type of the controller comes first.
 
     Raises:
@@ -170,7 +170,7 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
     """Checks that a command can be combined with all parts of a section.
 
     Args:
-        where: the section, for the message.
+        where: name of the section, for the message.
         parts: parts of the section as written in the file.
         command: name of a command, a key of `COMMANDS`.
         error: class of the error to raise.
@@ -185,11 +185,11 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part as text, and the alternatives to another part with which the part can be combined.
+    """Returns a part as text, followed by the options that it can be combined with instead of another part.
 
     Args:
-        part: the part.
-        beside: the other part.
+        part: part to describe.
+        beside: other part, with which the part cannot be combined.
         written: the part as written in the section.
     """
     if {part, beside} <= KINDS.keys():

@@ -185,7 +185,7 @@ class FilterSection(Section):
 
     @functools.cached_property
     def shape(self) -> Filter:
-        """The filter."""
+        """Filter that the section describes."""
         if self.filter is not None:
             return Filter(WEIGHTINGS[self.filter], self.filter)
         if self.numerator is None or self.denominator is None:

@@ -126,7 +126,7 @@ def _signal(value: Any, context: Mapping[str, Any]) -> str:
 
 
 def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns the largest magnitude of the signal in a bound [SI]. The file gives it in the unit of the signal."""
+    """Returns the largest magnitude of the signal in a bound [SI]. The file gives this magnitude in the unit of the signal."""
     signal = context.get("peak", context.get("energy_peak"))
     return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
 
@@ -241,7 +241,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
     """Returns a row for each force, with True for each measurement at the corner of the force.
 
     Args:
-        what: the key, for messages.
+        what: name of the key in the vehicle file, for messages.
         measured: names of the measured signals.
         corners: suffix of the signal names at the suspension of each force.
 

@@ -105,7 +105,7 @@ class LawSource:
         """Returns the controller with this law.
 
         Args:
-            name: name of the controller.
+            name: name of the controller, as in the vehicle file.
             measured: names of its measured signals.
             design: function that designs or certifies a linear controller with a given name.
             read: function that returns the text of a Python law; by default, the text is read from the law's file. This

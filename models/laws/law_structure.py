@@ -56,7 +56,7 @@ def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
 
 
 def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-    """Returns the gain of each force: one number for all forces, or a list."""
+    """Returns the gain of each force. The file gives one number for all forces, or a list with one number per force."""
     m = len(context["corners"])
     several = value if isinstance(value, list | tuple) else [value] * m
     if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
@@ -75,7 +75,7 @@ class PidSection(Section):
 
 
 def _order(value: Any, context: Mapping[str, Any]) -> str | int:
-    """Returns the name of an order, or a number of states."""
+    """Returns the order of a law: the name of an allowed order, or a number of states."""
     if value not in (STATIC, FULL) and not is_order(value):
         raise InputError(
             f"{HERE} = {short_repr(value)} is unknown; give one of {FULL}, {STATIC}, or a number of states from 0 to "

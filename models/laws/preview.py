@@ -111,8 +111,8 @@ class RoadPreview:
         """Returns the preview forces along a road, which are held from sample to sample, shape (T, m).
 
         Args:
-            heights: heights of the road [m] at the timesteps of a run and, after its end, of the preview time, shape (T +
-                ahead, r).
+            heights: heights of the road at the T timesteps of a run, followed by the heights during the preview time after the
+                run [m], shape (T + ahead, r).
             steps: timesteps between two samples of the controller.
             timestep: timestep of the heights [s].
             samples: number T of timesteps in the run.

@@ -213,7 +213,7 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
     The function may have the attributes `measured` and `preview` [s], with the same meaning as in a vehicle file.
 
     Args:
-        function: the function or driver.
+        function: function or driver of the caller, which computes the forces.
         measurable: signals that a controller can measure. A function without an attribute `measured` receives all of these
             signals.
 

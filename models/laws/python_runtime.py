@@ -74,7 +74,7 @@ class OwnLaw:
     """One execution of a law, with its state and the global names of its file.
 
     Attributes:
-        vectorised: True if one call computes all runs. The function has an attribute with this name.
+        vectorised: True if one call computes all runs. The function declares this by an attribute with the same name.
     """
 
     def __init__(self, controller: PythonController, forces: int) -> None:
@@ -84,7 +84,7 @@ class OwnLaw:
 
         Args:
             controller: controller with the law.
-            forces: number of forces.
+            forces: number of forces that the law must return.
 
         Raises:
             InputError: the file fails, or does not contain the function.

@@ -90,7 +90,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: gives the force of a damper to the sky if it can give a force of this sign, else the soft setting."""
+    """Continuous skyhook: the force of a damper to the sky if the damper can give this sign of force, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -165,9 +165,10 @@ class SemiActiveLaw(LawSource):
 
     Attributes:
         name: name of the law, a key of `LAWS`.
-        numbers: keys that the file gives, with their values.
+        numbers: parameters of the law that the file gives, each as key and value.
         endings: suffixes of the signal names at the suspensions, in the order of the forces.
-        modes: velocities of body modes that the law measures; empty for laws that treat each corner separately.
+        modes: names of the velocity signals of body modes that the law measures; empty for laws that treat each corner
+            separately.
     """
 
     linear, title = False, "a semi-active law"
@@ -224,11 +225,11 @@ class SemiActiveLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class SemiActive(ControlLaw):
-    """Controller with a built-in semi-active law. Linear analysis does not apply to it.
+    """Controller with a built-in semi-active law. Linear analysis does not apply to this controller.
 
     Attributes:
         name: name in the vehicle file.
-        law: the law.
+        law: law that computes the requested coefficients of the dampers.
         code: the exported code that computes the outputs in runs; None if the law itself computes them.
     """
 

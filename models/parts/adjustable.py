@@ -132,7 +132,7 @@ class Adjustable(SettablePart):
         Args:
             name: name of the controller.
             measured: signals that the controller measures.
-            vehicle: the vehicle.
+            vehicle: vehicle that the controller drives.
 
         Raises:
             InputError: the controller measures such a force.

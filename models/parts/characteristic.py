@@ -18,7 +18,7 @@ class Characteristic(Part):
     """Force r a f(r x) over an argument x, where f is a characteristic.
 
     Attributes:
-        own: f.
+        own: characteristic f of the element itself, before the motion ratio is applied.
         factor: factor a, for a vehicle whose parameter differs from the slope of the characteristic.
         ratio: constant motion ratio r.
     """

@@ -236,10 +236,10 @@ class SetColumn:
 
 
 def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> CoefficientRange:
-    """Returns the range of the actuators of N vehicles of one type.
+    """Returns the setting range of the actuators of N vehicles of one type.
 
     Args:
-        vehicles: the vehicles.
+        vehicles: N vehicles whose actuators are limited.
         most: largest force of the force actuators of each vehicle [N]; None for no limit.
     """
     forces = vehicles[0].linear_model.inputs

@@ -30,7 +30,7 @@ class Element:
     """Force element of one or more suspensions.
 
     Attributes:
-        name: name of the section.
+        name: name of the section `[parts.NAME]`.
         corners: names of the corners with the element; one empty name if the vehicle has a single suspension.
         part: the part, before its motion ratio is applied.
     """

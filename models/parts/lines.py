@@ -50,7 +50,7 @@ def with_own_states(
 
     Args:
         model: linear model without the internal states.
-        parts: the parts, with their suspensions.
+        parts: e parts, each with its suspension.
         rows: gains from the states to the deflections of the parts' suspensions, shape (e, n).
         speeds: gains from the states to the rates of the deflections, shape (e, n).
         push: effect of forces along the suspensions on the derivatives of the states, shape (n, e).

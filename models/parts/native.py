@@ -32,7 +32,7 @@ class Tendon:
     """Tendon of a suspension in an `MjSpec`, to which a part adds its force.
 
     Attributes:
-        spec: the model, with all parameters.
+        spec: MuJoCo model of the vehicle, with all parameters.
         name: name of the tendon.
         rest: length of the tendon in equilibrium [m].
         prefix: beginning of the names of the actuators that a part adds.
@@ -89,7 +89,7 @@ class Tendon:
             line: slope of h at equilibrium.
             ramps: knot [m/s], slope and side (1 or -1) of each ramp.
             low: the smallest value of c - c_s [N s/m].
-            ratio: motion ratio.
+            ratio: motion ratio of the damper.
             lag: bandwidth of the valve [rad/s]; None for a valve without lag.
 
         Raises:
@@ -129,7 +129,7 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
     """Adds sensors of velocities for tendons or joints whose length is already measured.
 
     Args:
-        spec: the model.
+        spec: MuJoCo model to which the sensors are added.
         deflections: pairs of signal names: the new velocity, and the measured length.
 
     Raises:

@@ -52,7 +52,7 @@ class Line:
         stiffness: k [N/m].
         damping: c [N s/m].
         gain: gain g, the force per unit of the input; 0 for a part without an input.
-        of_preload: the part of k that is caused by a preload together with a motion ratio that changes with travel [N/m].
+        of_preload: contribution to k of a preload whose motion ratio changes with travel [N/m].
         inertance: b [kg].
         of_states: gains C from the states to the force, shape (..., n); None for a part without states.
         rates: gains from (z, d, v, u) to the rates z', shape (..., n, n + 3); None for a part without states.
@@ -168,7 +168,7 @@ class Part(ABC):
         return 0.0
 
     def centrifugal(self, d: Array, v: Array) -> Array | float:
-        """Returns the part of `pull` due to an inertance b that changes with travel d, (db/dd) v^2 / 2 [N], shape (...)."""
+        """Returns the contribution to `pull` of an inertance b that changes with travel d, (db/dd) v^2 / 2 [N], shape (...)."""
         return 0.0
 
     @cached_property
@@ -288,7 +288,7 @@ class SuspensionPart:
     """Part together with its place in a vehicle.
 
     Attributes:
-        place: the suspension.
+        place: suspension on which the part acts.
         part: the equivalent part at the wheel.
         parameter: parameter of the vehicle that contains the linearisation of the part; empty for an element of `[parts]`.
         ratio: motion ratio in equilibrium.
@@ -379,8 +379,8 @@ class SettablePart(Part):
 
     Attributes:
         force: name of the control force that the damper replaces.
-        ending: suffix of the signal names at its suspension.
-        damper: limits of the coefficient.
+        ending: suffix of the signal names at the suspension of the damper.
+        damper: semi-active damper of the vehicle file, with the limits of its coefficient.
         nominal: coefficient in the linear model [N s/m].
         ratio: motion ratio in equilibrium.
         nominal_curve: characteristic of the nominal damper, including a characteristic in parallel; None if both are straight.
@@ -402,7 +402,7 @@ class SettablePart(Part):
 
     @property
     def missing(self) -> str:
-        """Name of the signal with the part of the requested force that the damper cannot give."""
+        """Name of the signal that contains the requested force minus the force that the damper can give."""
         return f"missing_force{self.ending}"
 
     @property
@@ -462,7 +462,7 @@ class Parts(tuple[SuspensionPart, ...]):
 
     @cached_property
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
-        """Travel at the wheel from equilibrium to every bump stop [m], by deflection and by side (`bump` or `rebound`)."""
+        """Travel at the wheel from equilibrium to every bump stop [m], by deflection signal and side (`bump` or `rebound`)."""
         strokes = dict[str, dict[str, float]]()
         for one in self:
             for limit in one.part.limits() if one.part.contact else ():

@@ -26,7 +26,7 @@ def parts_of(vehicle: Any) -> Parts:
 
 
 def _element(vehicle: Any, place: Any, one: Any) -> Part:
-    """Returns the part of an element at a suspension. A controller may set its voltage."""
+    """Returns the part of an element at a suspension. A controller may set the voltage of the element."""
     damper = vehicle.dampers.get(place.force)
     if getattr(damper, "name", None) != one.name:
         return one.part

@@ -56,7 +56,7 @@ def stop_doubts(stop: Stop, load: float | None) -> Iterator[str]:
     """Yields warnings about the table of a bump stop.
 
     Args:
-        stop: the bump stop.
+        stop: bump stop whose table is checked.
         load: static load at the stop [N]; None if it is unknown.
     """
     if isinstance(law := stop.stiffness, StopTable):

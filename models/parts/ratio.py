@@ -52,10 +52,10 @@ class AtRatio(Part):
     """Part with a motion ratio.
 
     Attributes:
-        part: the part, in terms of its own travel and force.
+        part: part before the motion ratio is applied, in terms of its own travel and force.
         table: the motion ratio over travel, or `Constant`.
         scale: factor on the ratios of the table.
-        load: W [N].
+        load: load W that the part carries at the wheel in equilibrium [N].
     """
 
     part: Part

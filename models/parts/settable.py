@@ -38,7 +38,7 @@ class ElementDamper(Damper):
 
     Attributes:
         name: name of the element's section.
-        element: the element.
+        element: element of `[parts]` that acts as the damper.
     """
 
     replaces = False
@@ -72,7 +72,7 @@ class SetElement(SettablePart):
     """Element whose input is its voltage, before the motion ratio is applied.
 
     Attributes:
-        element: the element.
+        element: element whose voltage a controller sets.
         without: the element without a command, or its linearisation.
     """
 
@@ -122,7 +122,7 @@ class SetElement(SettablePart):
             v: rate of the extension [m/s], shape (...).
             z: internal states, shape (..., n).
             u: voltages [V], relative to the voltage without a command.
-            before: voltages to compare with [V], relative to the voltage without a command.
+            before: voltages whose pushing force is subtracted [V], relative to the voltage without a command.
         """
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
@@ -164,14 +164,16 @@ def _roots(a: Array, b: Array, c: Array) -> list[Array]:
 
 
 def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElement:
-    """Returns an element at a suspension whose controller sets its voltage. `part` is the element or its linearisation."""
+    """Returns the element at a suspension whose voltage a controller sets. `part` is the element or its linearisation."""
     return SetElement(place.force, place.ending, damper, damper.element.voltage, element=damper.element, without=part)
 
 
 def element_dampers(
     elements: Sequence[Any], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
 ) -> dict[str, ElementDamper]:
-    """Returns the elements whose voltage a controller sets, as semi-active dampers, by the control force that each replaces.
+    """Returns semi-active dampers for the elements whose voltage a controller sets.
+
+    The key of each damper is the name of the control force that its element replaces.
 
     Args:
         elements: all elements of the vehicle.

@@ -255,7 +255,7 @@ def slope_density(iri: float, low: float, high: float, waviness: float) -> float
 
 @lru_cache(maxsize=16)
 def _unit_variance(low: float, high: float, waviness: float) -> float:
-    """Returns the variance of the car's response to a road slope whose spectral density at `N0` is 1 [cycle/m]."""
+    """Returns the variance of the car's response to a road slope, divided by the slope's density at `N0` [cycle/m]."""
     count = math.ceil((high - low) * LINES)
     n = low + (np.arange(count) + 0.5) * (high - low) / count
     return float(np.sum(np.abs(slope_response(n, STEP)) ** 2 * slope_power(n, waviness))) * (high - low) / count

@@ -72,7 +72,7 @@ def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHES
         iri: mean IRI [m/km].
         lowest: lower end of the band [cycle/m].
         highest: upper end of the band [cycle/m].
-        waviness: w.
+        waviness: exponent w of the road spectrum.
 
     Raises:
         InputError: the IRI is out of its range.

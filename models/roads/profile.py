@@ -46,9 +46,9 @@ class Profile(MeasuredRoad):
     Attributes:
         distance: distances of the points [m], ascending, shape (P,).
         heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track.
-        speed: V [m/s].
+        speed: vehicle speed V [m/s].
         source: name of the file.
-        join: "straight" or "smooth".
+        join: "straight" to join the points by lines, or "smooth" to join them by a cubic spline.
         note: remark about the columns of the file, a phrase; empty without a remark.
 
     Raises:
@@ -286,7 +286,7 @@ def check_ascending(
         smooth: True for a spline.
 
     Raises:
-        InputError: a check fails.
+        InputError: the points do not satisfy these conditions.
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:

@@ -102,7 +102,7 @@ def read_profile(path: Path, speed: float, given: TableSettings = TableSettings(
     """Reads a profile from a text file. The headings in the file may give the quantity and the unit of each column.
 
     Args:
-        path: path of the file.
+        path: path of the file with the profile.
         speed: vehicle speed [m/s].
         given: settings for headings that are missing or have no unit.
 
@@ -170,7 +170,7 @@ def choose_columns(
     The columns are found by their headings or, if there are no headings, by their order.
 
     Args:
-        table: the table.
+        table: table of the file, in which the columns are.
         headings: headings of all columns.
         wanted: the requested columns, counted from 0; empty if no columns are requested.
         stepped: True if the rows have a constant step, so that there is no column of distance.
@@ -282,7 +282,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
     """Returns the length of a path up to each point [m], shape (P,), and a warning.
 
     Args:
-        table: the table.
+        table: table of the file, in which the columns are.
         headings: headings of the east and north coordinates.
         option: name of the option that gives the unit of lengths without a unit.
         ragged: True if rows may have different numbers of cells.

@@ -32,7 +32,7 @@ def read_rig(path: Path, settings: RigSettings) -> Rig:
     """Reads a rig from a text file.
 
     Args:
-        path: path of the file.
+        path: path of the drive file.
         settings: units for headings without a unit.
 
     Raises:

@@ -226,7 +226,7 @@ class Obstacle(Section, Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump (61): one period of a cosine. The defaults are those of the paper (62).
+    """Isolated bump of the paper's (61): one period of a cosine. The default values are those of (62).
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -244,7 +244,7 @@ class Bump(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of equation (61)."""
+        """Returns the height of the bump by equation (61) of the paper [m]."""
         on = self._on(t, side)
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
@@ -267,7 +267,7 @@ class DerivedRoad(Road):
     """Road that is derived from another road, with the same speed, track, duration and kinks.
 
     Attributes:
-        road: the other road.
+        road: road from which this road is derived.
     """
 
     road: Road
@@ -330,7 +330,7 @@ class MeasuredRoad(Road):
         Args:
             t: middle times of the steps [s].
             timestep: length of a step [s].
-            side: side of the wheel.
+            side: side of the wheel; see `displacement`.
         """
         return means(lambda t: self.departure(t, side), self.knots, t, timestep)
 
@@ -435,8 +435,8 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
     """Returns the displacement or velocity of a road under every wheel, shape (T, r).
 
     Args:
-        function: `road.displacement` or `road.velocity`.
-        road: the road.
+        function: `road.displacement` or `road.velocity`, the quantity to evaluate.
+        road: road to which this function belongs.
         vehicle: vehicle with r wheels.
         t: times [s], shape (T,).
     """
@@ -474,7 +474,7 @@ class RoadInput:
 
     Attributes:
         vehicle: vehicle with r wheels and l loads on its body.
-        road: the road.
+        road: road that excites the vehicle.
         time: equidistant sample times [s], shape (T,).
         earlier: True to repeat a run of an earlier version. In these runs, the signals at a sample used the load of the step
             that begins at the sample, and vertical edges had only one side.

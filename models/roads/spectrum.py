@@ -19,7 +19,7 @@ class Spectrum:
         density: one-sided power spectral density of the vertical road velocity at `N0` [(m/s)^2/Hz]. For waviness 2, the
             velocity is white noise.
         band: lowest and highest frequency [rad/s].
-        speed: V [m/s].
+        speed: vehicle speed V [m/s].
         length: distance after which the road repeats [m]. The road is a sum of sinusoids whose spatial frequencies are 1 /
             length apart.
         track_width: lateral distance between the tracks [m].
@@ -56,7 +56,7 @@ def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
     Args:
         n: spatial frequencies [cycle/m].
         width: distance b between the tracks [m].
-        waviness: w.
+        waviness: exponent w of the road spectrum.
     """
     from scipy import special  # this import is delayed, because SciPy takes 0.1 s
 
@@ -100,7 +100,7 @@ def longest_panel(vehicle: Vehicle, speed: float, ahead: float = 0.0) -> float:
     """Returns the largest frequency spacing that resolves the delay of the last axle and the preview time [rad/s].
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose axle positions determine the delays.
         speed: vehicle speed [m/s].
         ahead: preview time, for which the road ahead is known [s].
     """

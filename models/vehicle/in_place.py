@@ -63,7 +63,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
     """Returns the text of a vehicle file for another folder. Paths of Python laws and FMUs become relative to that folder.
 
     Args:
-        folder: the new folder.
+        folder: folder to which the vehicle file is written.
         text: text of the vehicle file.
         laws: sources of the control laws, by controller.
 

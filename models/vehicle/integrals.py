@@ -14,7 +14,7 @@ def check_integrals(
     """Checks that every integral in z has a finite norm, and that the designed law has a state for it.
 
     Args:
-        entry: a controller.
+        entry: controller to check.
         integrals: integrated signals in the output z of the vehicle, by name of the integrator state.
         heard: sensor noise of the implementation, an rms value by signal.
         sampled: True if the controllers are designed for the sampled loop.

@@ -56,7 +56,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
 
 
 def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Returns the only controller in a file: where it is (for messages), and its variables or fields by name."""
+    """Returns the only controller in a file: its place in the file (for messages), and its variables or fields by name."""
     names = (*MATRICES, *OTHERS, "K", *TRANSFER, *PERIODS)
     places = {"the file": {name: value for name, value in variables.items() if name in names}}
     for name, value in variables.items():

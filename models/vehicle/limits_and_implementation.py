@@ -83,7 +83,7 @@ class Limits(LimitsSection):
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
-        """Returns the bump and rebound stops of a vehicle by deflection. Suspensions without stops are omitted."""
+        """Returns the bump and rebound stops of a vehicle by deflection signal. Suspensions without stops are omitted."""
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 
@@ -254,7 +254,7 @@ class Implementation(Section):
 
     @property
     def hold_intervals(self) -> tuple[tuple[float, int], ...]:
-        """Intervals of constant force within a sample period: length of each as a share of the period, and delay [samples]."""
+        """Intervals of constant force within a sample period, each as its share of the period and its delay [samples]."""
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -274,7 +274,7 @@ class Implementation(Section):
     def without_noise(self) -> "Implementation":
         """The implementation without noise and quantisation.
 
-        Without them, the implementation is linear, and so has a frequency response.
+        Without noise and quantisation, the implementation is linear, and therefore has a frequency response.
         """
         return replace(self, noise={}, quantisation={})
 
@@ -368,7 +368,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """Returns the intervals of constant force within a sample period: length of each in timesteps, and delay [samples]."""
+    """Returns the intervals of constant force within a sample period, each as its length [timesteps] and delay [samples]."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 

@@ -65,7 +65,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     """Returns the editable MuJoCo model of a vehicle.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose model is built.
         timestep: integration step [s].
 
     Raises:
@@ -202,7 +202,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     At qpos = 0, the model is in equilibrium: qacc is 0 except for rounding errors.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle whose model is built.
         timestep: integration step [s].
         drawn: False to omit visual parts. Without them, a step gives the same numbers, but takes about 5 % less time.
 

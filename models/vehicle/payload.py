@@ -135,7 +135,8 @@ def _limits_at_laden_rest(
         load: loads of the payload [N, N m], by name.
         limits: limits of the unladen vehicle.
         parameters: parameters of the vehicle [SI], by name.
-        known: deflections of the springs that are already known [m], by name; the linear model gives the others.
+        known: deflections of the springs that are already known [m], by name; the linear model gives the deflections of the
+            other springs.
     """
     stops = limits.stops(kind.suspensions)
     if not stops:

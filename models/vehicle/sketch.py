@@ -24,7 +24,7 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     parameters, the sketch shows its wheels and suspensions with the symbols k, c and m.
 
     Args:
-        vehicle: the vehicle.
+        vehicle: vehicle to draw.
         computer: False to omit the sensors and the computer.
     """
     kind, given = vehicle.kind, vehicle.parameters

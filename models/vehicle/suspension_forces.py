@@ -18,7 +18,7 @@ class SuspensionForces:
     """Suspension forces of N vehicles of one type, in addition to the forces in their linear models.
 
     The forces act between body and wheel, and are positive if they pull body and wheel together. The linear model contains the
-    linearised force of each part, and the force of each actuator at its motion ratio in equilibrium.
+    linearised force of each part, and the force of each actuator multiplied by the motion ratio in equilibrium.
 
     Attributes:
         acts: True for each suspension that has a force in addition to the linear model, shape (s,).

@@ -145,13 +145,13 @@ class Vehicle(ShownResult):
 
     Attributes:
         kind: vehicle type: equations and MJCF.
-        parameters: SI values by name.
+        parameters: values of the parameters [SI], by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
         text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
             text can be stored in logs. Control laws in Python remain file names.
         source: path of the file, for messages.
-        limits: limits of the hardware.
+        limits: limits of actuators and suspensions.
         implementation: sampling, delay, noise and quantisation of the controller.
         named_files: other files that the vehicle file names, with matrices, vehicle families or tables.
         filters: filter from a weighted signal to z, by signal; signals of constant weight do not have a filter.
@@ -549,7 +549,7 @@ class Vehicle(ShownResult):
 
     @property
     def unladen(self) -> "Vehicle":
-        """The vehicle that its file describes without `[payload]`; the same vehicle if the file has no payload."""
+        """The vehicle without the payload in `[payload]` of the vehicle file; the same vehicle if the file has no payload."""
         toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
@@ -632,7 +632,7 @@ class Vehicle(ShownResult):
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 
     def located(self, error: InputError) -> InputError:
-        """Returns the error with the name of the vehicle file before its message."""
+        """Returns the error with a message that begins with the name of the vehicle file."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
     def check_entry(self, entry: ControllerEntry) -> None:

@@ -36,8 +36,7 @@ class MeasuredLog:
         time: times of the samples on the log's own clock [s], ascending, shape (n,).
         signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
         remarks: notes about omitted columns and assumed units.
-        rounded: number of samples that are omitted, because the times in the file are rounded and theirs equal the previous
-            time.
+        rounded: number of omitted samples, whose times equal the previous time because the file contains rounded times.
     """
 
     source: str
@@ -70,10 +69,10 @@ def read_measured_log(
 
     Args:
         path: path of the file.
-        units: SI unit of each signal that may be read, by name.
+        units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
-        columns: headings of signals that have another name in the file, by name of the signal. If the file gives no unit, the
-            heading may contain it.
+        columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
+            unit, the heading may contain it.
 
     Returns:
         The measured signals in SI units, with their times.

@@ -131,7 +131,7 @@ class Stop:
         return isinstance(self.stiffness, StopTable) or any(self.stiffness)
 
     def at_wheel(self, ratio: float) -> "Stop":
-        """Returns the equivalent stop at the wheel for the motion ratio r: r times the force at r times the compression."""
+        """Returns the equivalent stop at the wheel for the motion ratio r: if this stop has the force F(x), r F(r x)."""
         law = self.stiffness
         if isinstance(law, StopTable):
             both = (law.compression, 1 / ratio), (law.force, ratio)
@@ -178,8 +178,8 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> B
     """Returns the stops of a suspension in bump and rebound.
 
     Args:
-        stroke: stroke of both sides, or of each side [m].
-        stiffness: stiffness, coefficients or table of both sides, or of each side.
+        stroke: one stroke for both sides, or a stroke for each side [m].
+        stiffness: one stiffness, list of coefficients or table for both sides, or one of these for each side.
 
     Raises:
         InputError: a table is not valid for a stop; see `stop_of`.

@@ -117,7 +117,7 @@ def _history(text: str, source: str) -> History:
 
 
 def choose_load(text: str, folder: Path = Path()) -> Load:
-    """Returns a load from its text.
+    """Returns the load that a text describes.
 
     Args:
         text: text of the load, or name of a file.
@@ -137,7 +137,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
 
 
 def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
-    """Returns loads from their texts in a log, without reading files.
+    """Returns the loads that texts in a log describe, without reading files.
 
     Raises:
         InputError: a text is not a load.

@@ -73,8 +73,8 @@ class Load(ABC):
         Args:
             t: times [s].
             p: parameters of the vehicle [SI], by name.
-            kind: vehicle type, whose links may transmit part of the load to the wheels; None for only the force and its
-                moments.
+            kind: vehicle type, whose links may transmit part of the load to the wheels; None to return only the force and its
+                moments, without the share of the links.
         """
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -185,7 +185,7 @@ class _Inertial(RampedLoad):
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the inertial force of the body, and the acceleration."""
+        """Returns the name of the moment, the inertial force of the body [N] and the acceleration [m/s2]."""
         return self.way, _mass(p) * GRAVITY * self.g, GRAVITY * self.g
 
 
@@ -247,7 +247,7 @@ class Payload(_PlacedLoad):
     hold: Hold = math.inf
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns a downward force, and its moments."""
+        """Returns the weight of the payload as a downward force [N], and its moments [N m]."""
         return _vertical_force(-self.mass * GRAVITY, self.x, self.y)
 
 
@@ -265,7 +265,7 @@ class Lift(_PlacedLoad):
     hold: Hold = math.inf
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns an upward force, and its moments."""
+        """Returns the lift as an upward force [N], and its moments [N m]."""
         return _vertical_force(self.force, self.x, self.y)
 
 

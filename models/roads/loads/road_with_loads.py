@@ -22,7 +22,7 @@ class RoadWithLoads(DerivedRoad):
     """Road with loads. A road with loads has no spectrum, because the loads are not random.
 
     Attributes:
-        on_body: the loads.
+        on_body: loads that act on the body of the vehicle.
     """
 
     on_body: Sequence[Load]
