@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/((_build|reference)/.*|(gallery|exa
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3476   2328      0
+what all commands share: files, options, checks, tables of numbers   3477   2328      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6485   2043    359
+vehicle file, types, equations, MJCF                           6488   2043    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -39,15 +39,15 @@ foreign FMU as a controller                                     161    198      
 laws in Python                                                  806    704    107
     models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            210    411    130
+custom vehicle types                                            211    411    130
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1399    733    208
+semi-active dampers and laws                                   1400    733    208
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3589   1942    190
+curves of dampers and springs, statistical linearisation       3592   1942    190
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -56,7 +56,7 @@ curves of dampers and springs, statistical linearisation       3589   1942    19
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/{springs-and-dampers,force-elements}.md
 bump stops                                                      642    167      0
     models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2242   1955      0
+parts of a suspension                                          2245   1955      0
     models/parts/{__init__,actuator,element,native,part,placement}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -100,10 +100,10 @@ full-order H-infinity                                           967    741    11
 static search, descent, refine                                 2232    750      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
-LMI certificates that anybody can check                         942    351    115
+LMI certificates that anybody can check                         945    351    115
     synth/analysis/lmi_certificate/* synth/vehicle/lmi_certificates.py synth/command/certificates.py
     tests/synth/test_lmi_certificates.py tests/support/check_certificates.mjs docs/explanation/lmi-certificates.md
-two steps, LMI path                                            2861   1013    150
+two steps, LMI path                                            2862   1013    150
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
@@ -114,7 +114,7 @@ certificates, norms, lower bounds                              3578   2294     4
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3221   2128    330
+plant algebra, filters, any plant                              3222   2128    330
     synth/plant/* models/laws/{design_methods,filter}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/support/weighted.py
@@ -127,13 +127,13 @@ synth command, controller record, designer                     3621    660    18
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
 log re-verification                                             937    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2301   1142     48
+recordings: MCAP, Foxglove, Rerun                              2304   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3739   1381     79
+page and figures                                               3741   1381     79
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2999   1797    208
+campaigns                                                      3000   1797    208
     sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/campaign.md
     docs/how-to/tune-a-law.md
 studies: one noun for commands and the page                     462      0      0
@@ -141,35 +141,35 @@ studies: one noun for commands and the page                     462      0      
 gallery of papers                                               758    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2165    823     78
+margins in physics                                             2167    823     78
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 recommendation of a controller                                 1637    400    217
     sim/studies/recommend/* tests/sim/test_recommend.py
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
-frequency, sweep                                               2142    614     38
+frequency, sweep                                               2143    614     38
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3368   1287      0
+ride metrics and their expectation                             3369   1287      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
-measured logs beside runs                                       687    319    106
+measured logs beside runs                                       686    319    106
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              4181    663    272
+identification from measured logs                              4183    663    272
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
-map of validity                                                1311    371     35
+map of validity                                                1313    371     35
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*,study}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    2959   1098      0
+MuJoCo loop                                                    2963   1098      0
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py
-linear responses                                               1086    416      0
+linear responses                                               1087    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2764   1052    112
+runs, verdict, their text                                      2767   1052    112
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
