@@ -86,8 +86,8 @@ class Section:
 
     @property
     def commands(self) -> list[str]:
-        """The lines of its sh and bash blocks, but those that install; `roadproof VERB` is `python -m` of its module."""
-        blocks = [*self.blocks("sh"), *self.blocks("bash")]
+        """The lines of its sh and zsh blocks, but those that install; `roadproof VERB` is `python -m` of its module."""
+        blocks = [*self.blocks("sh"), *self.blocks("zsh")]
         lines = [line for block in blocks for line in block.splitlines() if line and not INSTALLS.search(line)]
         return [re.sub(r"^roadproof (\w+)", lambda verb: f"python -m {VERBS[verb[1]]}", line) for line in lines]
 
