@@ -94,6 +94,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
         runs: all runs that the table may show.
         others: lines that are printed together with the table.
     """
+    lines = list[str]()
     for count in range(len(runs), 0, -1):
         rest = f", {len(runs) - count} controllers" if count < len(runs) else ""
         one = checks_table(runs[:count])

@@ -72,8 +72,8 @@ CHANGE = Field[float]("change", float, "+.1f", 100.0)
 
 def _proved(run: RunResult) -> Any:
     """Returns the certificate of a stable linear loop, otherwise None."""
-    linear = run.controller.linear is not False and run.controller.certificate.stable
-    return run.controller.certificate if linear else None
+    controller: Any = run.controller
+    return controller.certificate if controller.linear is not False and controller.certificate.stable else None
 
 
 CHECKS: tuple[Field[RunResult], ...] = (

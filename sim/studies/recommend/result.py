@@ -140,7 +140,7 @@ def table(result: Recommendation) -> Table:
 
     def column(key: str, label: str) -> Field[RankedContender]:
         of_key = next(one for one in FIELDS if one.key == key)
-        return starred(key, of_key.of(lambda row: row.rating, label))  # pyright: ignore[reportArgumentType]
+        return starred(key, of_key.of(lambda row: row.rating, label))  # pyright: ignore[reportArgumentType, reportAttributeAccessIssue]
 
     def decibels(label: str, factor: Callable[[Usage], float]) -> Field[RankedContender]:
         def value(row: RankedContender) -> float | None:

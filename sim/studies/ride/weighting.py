@@ -60,7 +60,7 @@ class SampledWk:
     @property
     def denominators(self) -> Array:
         """Denominators by powers of 1/z, shape (4, 3)."""
-        return np.stack([np.ones(len(self.poles)), -2 * self.poles.real, np.abs(self.poles) ** 2], axis=1)
+        return np.stack([np.ones(len(self.poles)), -2 * np.real(self.poles), np.abs(self.poles) ** 2], axis=1)
 
     def __call__(self, signals: Array, memory: Array | None) -> tuple[Array, Array]:
         """Filters the next samples of N signals.
@@ -77,10 +77,11 @@ class SampledWk:
         whole = np.concatenate([memory[:, : taps - 1], signals], axis=1)
         pushed = np.lib.stride_tricks.sliding_window_view(whole, taps, axis=1) @ self.numerators[:, ::-1].T
         # With q[k] = pole q[k-1] + pushed[k], the output of a filter is Im(pole q[k]) / Im(pole). The states are Re q and Im q.
-        real, imaginary = np.diag(self.poles.real), np.diag(self.poles.imag)
+        a, b = np.real(self.poles), np.imag(self.poles)
+        real, imaginary = np.diag(a), np.diag(b)
         Phi = np.block([[real, -imaginary], [imaginary, real]])
         states = after_samples(Phi, np.pad(pushed, ((0, 0), (0, 0), (0, count))), memory[:, taps - 1 :])
-        weighted = states @ np.concatenate([np.ones(count), self.poles.real / self.poles.imag])
+        weighted = states @ np.concatenate([np.ones(count), a / b])
         return weighted, np.concatenate([whole[:, 1 - taps :], states[:, -1]], axis=1)
 
     def response(self, omega: Array, timestep: float) -> Array:
