@@ -269,12 +269,12 @@ class LinearModel:
         if bandwidth is None:
             return self
         rates = np.broadcast_to(bandwidth, len(self.inputs))
-        lags, more = np.flatnonzero(rates), int(np.count_nonzero(rates))
+        lags = np.flatnonzero(rates)
         return replace(
             self,
-            A=np.block([[self.A, self.B[:, lags]], [np.zeros((more, len(self.A))), -np.diag(rates[lags])]]),
+            A=np.block([[self.A, self.B[:, lags]], [np.zeros((len(lags), len(self.A))), -np.diag(rates[lags])]]),
             B=np.vstack([np.where(rates == 0, self.B, 0.0), np.diag(rates)[lags]]),
-            **self._with_rows(("Bw", "Br", "Bl", "Bt"), more, {}),
+            **self._with_rows(("Bw", "Br", "Bl", "Bt"), len(lags), {}),
             C=np.hstack([self.C, self.D[:, lags]]),
             D=np.where(rates == 0, self.D, 0.0),
             states=(*self.states, *(f"lagged_{self.inputs[i]}" for i in lags)),

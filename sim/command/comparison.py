@@ -4,7 +4,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.common.arrays import Array
 from models.common.command import complain
@@ -17,9 +17,6 @@ from sim.drive.response import Response
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import loop_of
-
-if TYPE_CHECKING:
-    pass
 
 
 def controllers_of(

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.common.arrays import Array
 from models.common.command import chosen_of, complain, print_json, print_remarks
@@ -24,9 +24,6 @@ from sim.command.road_options import gaps, left_out_lines, with_start
 from sim.runs.run import passive_beside, run_controllers, sample_times
 from sim.studies.ride.scores import scores_of_runs, scores_record
 from synth.vehicle.designer import Designer
-
-if TYPE_CHECKING:
-    pass
 
 
 def drive(

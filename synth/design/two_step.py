@@ -17,7 +17,7 @@ import contextlib
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -33,9 +33,6 @@ from synth.lmi.output_nulling import sees_every_state
 from synth.plant.generalized import Feedback, Plant, check_inputs, check_states, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import independent, own_units, unit_rows
-
-if TYPE_CHECKING:
-    pass
 
 # Largest number of unknowns of step 1 (45 states, one input). Step 2 can then be solved for several X within about a minute
 MOST = 1100

@@ -103,7 +103,7 @@ static search, descent, refine                                 2232    750      
 LMI certificates that anybody can check                         945    351    115
     synth/analysis/lmi_certificate/* synth/vehicle/lmi_certificates.py synth/command/certificates.py
     tests/synth/test_lmi_certificates.py tests/support/check_certificates.mjs docs/explanation/lmi-certificates.md
-two steps, LMI path                                            2862   1013    150
+two steps, LMI path                                            2859   1013    150
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
@@ -174,7 +174,7 @@ runs, verdict, their text                                      2767   1052    11
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{why-mujoco,not-modelled}.md
-commands that drive                                            1180    997    385
+commands that drive                                            1174    997    385
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
