@@ -316,7 +316,7 @@ def document(designs: Designs, options: Namespace, in_table: bool = False) -> Do
     unnamed = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
     if unnamed and not (options.controller or options.check):
         names = ", ".join(map(as_name, unnamed))
-        blocks += notes(f"Linear analysis does not apply to {names}. Simulate them with sim.drive or sim.campaign.")
+        blocks += notes(f"Linear analysis does not apply to {names}. `roadproof drive` and `roadproof campaign` simulate them.")
     own = [row.name for row in rows] if options.controller else without_copies(row.name for row in rows)
     if in_table:
         blocks += [loop_table([row for row in rows if row.controller is not None]), *notes(NOT_SHOWN)]

@@ -7,7 +7,7 @@ import numpy as np
 from models.document.figure import Curve, Figure, Panel, Spans, styles
 from models.laws.goals import NormBound, NormOf
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.norm import largest_singular_values
+from synth.analysis.norm import Norm, largest_singular_values
 from synth.command.table import Row
 from synth.controller.report import NORM
 
@@ -24,9 +24,12 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
     bands = dict.fromkeys(norm.band for row in stable for norm in _norms(vehicle, row))
     ends = [end for band in bands for end in band if 0 < end < np.inf]
     low, high = min([SHOWN_BAND[0], *(end / ROOM for end in ends)]), max([SHOWN_BAND[1], *(end * ROOM for end in ends)])
-    hertz, style, curves = np.geomspace(low, high, POINTS), styles(tuple(row.name for row in stable)), []
+    style, curves, norms = styles(tuple(row.name for row in stable)), [], dict[str, Norm]()
     for row in stable:
         assert row.controller is not None
+        whole = norms[row.name] = row.controller.certificate.norm
+        at = whole.peak_frequency / (2 * np.pi)
+        hertz = np.union1d(np.geomspace(low, high, POINTS), [at] if low < at < high else [])  # a narrow peak is between points
         gains = largest_singular_values(row.controller.loop(vehicle).frequency_response(2 * np.pi * hertz))
         look = style[row.name]
         curves.append(Curve(hertz, gains, row.name, look.color, look.dash))
@@ -51,8 +54,8 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         ylog=True,
         xlim=(low, high),
     )
-    least = min((one for one in curves if one.label), key=lambda one: float(np.max(one.y)))
-    finding = f"{least.label} has the lowest peak: {NORM.digits(float(np.max(least.y)))}." if len(stable) > 1 else ""
+    least = min(norms, key=lambda name: norms[name].value)
+    finding = f"{least} has the lowest norm: {NORM.digits(norms[least].value)}." if len(stable) > 1 else ""
     return Figure("responses", title, (panel,), 1, finding)
 
 

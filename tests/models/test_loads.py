@@ -368,7 +368,7 @@ def test_angles_are_measured_and_printed(monkeypatch, capsys):
     assert f"angles [deg] pitch dive pitch squat pitch at end roll peak roll at end passive {angles} " in brief
     assert main([*arguments, "-v"]) == 0
     printed = prose(capsys.readouterr().out)
-    assert "The model neglects the moment of the body's own weight as the body rolls and pitches." in printed
+    assert "The model neglects the moment that the body's own weight causes when the body rolls and pitches." in printed
     assert f" passive {angles} " in printed
     assert f"roll_angle {run['static_angles'][ROLL]:.4g} deg. Pitch is positive nose down" in printed
 

@@ -178,7 +178,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "no linear loop",
     "so its code needs a sample period",
     "an export contains only feedback of measured signals",
-    "is a law in Python, already code",
+    "is a law in Python, which is already code",
     "states of filters in [performance] never are",
     "no sensor measures the states of filters in [performance]",
     "is not an integer, but code sets forces only at samples",

@@ -63,7 +63,7 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
     assert max(kept.physics.peak(name) for name in states) < 100
     assert np.abs(kept.physics["missing_force"]).max() < 2000
     assert kept.passed, reasons(kept)
-    said = "anti-windup: when forces are clipped, the states of the law follow the clipped forces at 20 1/s or faster"
+    said = "anti-windup: when forces are clipped, the states of the law follow the clipped forces at a rate of 20 1/s or faster"
     assert said in controller_notes(vehicle, kept.controller)
     assert not any("winds up" in line for line in controller_notes(vehicle, kept.controller))
     assert any("winds up" in line for line in controller_notes(vehicle, free.controller))

@@ -111,7 +111,7 @@ def test_words_go_together_as_in_a_vehicle_file(pair):
 @pytest.mark.attack
 def test_words_that_say_the_same_another_way():
     """A sampled loop reads no noise between samples, and takes `noise`; LQR needs all states measured."""
-    with pytest.raises(InputError, match="omit Dyw and give noise, one rms value for each"):
+    with pytest.raises(InputError, match="omit Dyw and give noise, one rms value per signal"):
         design_feedback(OSCILLATOR, CY, Dyw=[[0.1]], sample_period=0.05)
     assert design_feedback(OSCILLATOR, CY, noise=[0.1], sample_period=0.05).criterion == "sampled norm"
     with pytest.raises(DesignError, match="LQR feeds back all 2 states, but only 1 are measured"):

@@ -137,6 +137,7 @@ def test_the_picture_of_a_band(tmp_path, capsys):
     inside = (response.x >= 4) & (response.x <= 8)
     assert response.y[inside].max() <= level.y[0] == controller.specifications[0].proved
     assert response.y.max() > 5 * level.y[0]  # what lies beside the band is not hidden
+    assert response.y.max() == pytest.approx(controller.certificate.norm.value, rel=1e-9)  # its peak is between no two points
     path = tmp_path / "car.toml"
     path.write_text(f"{vehicle.text}gain = {controller.gain.tolist()}\n")  # which is designed already
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--picture", str(tmp_path / "bands.png"), "-v"]) == 0

@@ -70,7 +70,7 @@ class PrintedNumber(Section):
     road: Annotated[Road, ReadBy("a road; without `type` it is a bump, or a step if `edge` is given", _road)] = PAPER_BUMP
     duration: Annotated[float, SI("s", "duration of the run")] = 3.0
     timestep: Annotated[float, SI("s", "timestep of the run")] = 1e-3
-    band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `sim.drive`")] = 2.0
+    band: Annotated[float, SI("%", "half the width of the band of a settling time, as in `roadproof drive`")] = 2.0
     half_band: Annotated[float, SI("", "magnitude that a signal no longer exceeds after a recovery time, in SI units", 0.0)] = 0.0
     grid: Annotated[float, SI("s", "step of the samples of the source's response; 0 if unknown", 0.0)] = 0.0
     unit: Annotated[str, Text("unit of the value")] = ""
