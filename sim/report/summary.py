@@ -16,7 +16,7 @@ from sim.observers.results import WHEN
 from sim.runs.record import SIZE
 from sim.runs.report import verdict
 from sim.runs.run import Run
-from sim.studies.ride.score_table import CHANGES, compared_table, headline
+from sim.studies.ride.score_table import CHANGES, best_of_all, compared_table, headline
 from sim.studies.ride.scores import COLUMNS, FIELDS, Score, best
 from sim.studies.subject import AVERAGE, NAME, SEEDS, SPEED, Subject
 from sim.studies.validity.edges import HEIGHT
@@ -63,7 +63,7 @@ def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score
             panels.append(
                 Panel(title, quantity.title, "", (), Bars(names, lengths, words, tuple(look[name].color for name in names)))
             )
-    title = f"Shorter bars are better, ★ is the best. {where}. Percentages are changes from {as_name(PASSIVE)}."
+    title = f"Shorter bars are better, ★: {best_of_all(compared)}. {where}. Percentages are changes from {as_name(PASSIVE)}."
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), finding=f"{headline(compared)}.")
 
 

@@ -44,6 +44,12 @@ def _faults(scores: Sequence[Score]) -> dict[str, list[str]]:
     }
 
 
+def best_of_all(scores: Sequence[Score]) -> str:
+    """Returns "best", with the controllers that a fault excludes, such as "best without I (disk margin below 0.3)"."""
+    excluded = ", ".join(f"{', '.join(names)} ({fault})" for fault, names in _faults(scores).items())
+    return f"best without {excluded}" if excluded else "best"
+
+
 def some_names(names: Sequence[str]) -> str:
     """Returns the names of controllers for a sentence, or only their number if there are more than `MANY`."""
     return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
@@ -72,8 +78,7 @@ def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Sco
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
         columns += others
-    left_out = ", ".join(f"{', '.join(names)} ({fault})" for fault, names in _faults(scores).items())
-    star = f"*: best{f' without {left_out}' if left_out else ''}" if any(marked.values()) else ""
+    star = f"*: {best_of_all(scores)}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
     caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
     if not there:
