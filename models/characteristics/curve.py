@@ -9,9 +9,8 @@ from this line is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-There is a term for every segment whose slope is not s. The argument of the term is measured from the end of the segment with
-the smaller magnitude. A straight characteristic has no terms. The sum is also valid for a characteristic that falls in some
-segments.
+The sum has a term for every segment whose slope is not s. In this term, k_i is the end of the segment that is closer to 0. A
+straight characteristic has no terms. The sum is also valid for a characteristic whose force falls in some segments.
 """
 
 from collections.abc import Sequence
@@ -45,7 +44,7 @@ class Pieces:
     high: Array
 
     def force(self, x: Array) -> Array:
-        """Returns the sum of the segments at given arguments [N], shape (...)."""
+        """Returns the sum of the forces of all segments at the arguments x [N], shape (...)."""
         # This code runs in each stage of a time step, so it does not use NumPy's `clip` and `sum`, which would take twice as
         # long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
@@ -56,7 +55,9 @@ class Pieces:
 
     @staticmethod
     def stacked(each: "Sequence[Pieces | None]", shape: tuple[int, ...]) -> "Pieces":
-        """Returns the segments of several characteristics, shape (*shape, P). The segments of None are 0."""
+        """Returns the segments of several characteristics, shape (*shape, P). For an entry None, all values of the segments are
+        0.
+        """
         stacked = np.zeros((4, len(each), max(len(one.slope) for one in each if one is not None)))
         for i, one in enumerate(each):
             if one is not None:
@@ -77,10 +78,10 @@ class ForceCurve:
         force: forces at the points [N], 0 at x = 0, shape (n,).
         slope: slope of the straight line that linear analysis uses [N s/m or N/m].
         words: description of the characteristic, a phrase.
-        at_rest: force of the original table in equilibrium [N], which is not included in `force`.
+        at_rest: force of the user's table in equilibrium [N], which has been subtracted from `force`.
         note: remark about the table in the file, a phrase.
-        whole: characteristic with all points of the table, if this object has fewer points.
-        error: largest difference from `whole` [N].
+        whole: characteristic with all points of the table; None if this object contains all of them.
+        error: largest difference between the force of this object and the force of `whole` [N].
     """
 
     x: Array

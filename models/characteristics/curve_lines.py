@@ -35,7 +35,9 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point that a straight line can reach with at most the allowed error at all points in between."""
+    """Returns the last point that a straight line from the point `first` can reach with at most the allowed error at all points
+    in between.
+    """
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # Every point between the two ends limits the slope of the line from above and from below.
     steepest = np.minimum.accumulate((rise + error) / run)

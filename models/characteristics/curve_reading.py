@@ -82,7 +82,7 @@ class Argument(ListedValues):
     slope: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the values of the argument."""
+        """Returns the values of the velocity, deflection or compression, after checking that they ascend."""
         x = np.array(super().read(value, context))
         for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
             do = f"sort the points by {self.name}, and give each value once" if x[i] >= x[i + 1] else "omit one of them"
@@ -163,7 +163,7 @@ class Preload(SI):
     """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the load, or True or False."""
+        """Returns the load [N], or the value if it is `true` or `false`."""
         return value if isinstance(value, bool) else super().read(value, context)
 
     @property

@@ -30,7 +30,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     Args:
         x: values of the argument in the order of the measurement, shape (n,).
         force: force at each of these values [N], shape (n,).
-        unit: unit of the argument, for the phrase.
+        unit: unit of the argument, for the returned phrase.
         at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.
 
     Returns:
@@ -64,7 +64,9 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
 
 def slope_words(curve: ForceCurve) -> str:
-    """Describes the slope at 0 of a hysteresis loop's mean, and the range of this slope; empty if there is no loop."""
+    """Describes the slope at 0 of the mean of a hysteresis loop, and the range of arguments from which it is computed; empty
+    without a loop.
+    """
     if LOOP not in curve.note:
         return ""
     i = int(np.searchsorted(curve.x, 0.0))
@@ -74,7 +76,7 @@ def slope_words(curve: ForceCurve) -> str:
 
 
 def _bin_means(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:
-    """Returns the mean point of a branch in each bin of the argument, in ascending order."""
+    """Returns argument and force of a branch, averaged over the points in each bin of the argument, in ascending order."""
     which = np.minimum(((x - start) / span * BINS).astype(int), BINS - 1)
     count = np.bincount(which, minlength=BINS)
     means = [np.bincount(which, values, BINS)[count > 0] / count[count > 0] for values in (x, force)]

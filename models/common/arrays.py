@@ -1,4 +1,4 @@
-"""The array type of all signatures, a check for matrices from users, and linear recursions.
+"""The array type that all signatures use, a check for matrices from users, and linear recursions.
 
 Docstrings give shapes and units. Entries are float64 unless a docstring describes them as complex.
 """

@@ -19,7 +19,7 @@ class Registry(dict[str, str]):
     Attributes:
         sort: noun for an extension of this type, for messages.
         attributes: names of the attributes that each of these extensions must have.
-        texts: additional texts of the rows, for help pages.
+        texts: additional texts for help pages, by the name of the extension.
     """
 
     def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]], attributes: tuple[str, ...] = ()) -> None:

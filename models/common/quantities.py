@@ -85,7 +85,9 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if none or several are named."""
+        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if the heading names no quantity or
+        several.
+        """
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
             named.discard("height")  # a heading "left height" means the same as "height left"

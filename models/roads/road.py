@@ -226,7 +226,7 @@ class Obstacle(Section, Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump of the paper's (61): one period of a cosine. The default values are those of (62).
+    """Isolated bump, equation (61) of the paper: one period of a cosine. The default values are those of equation (62).
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -264,10 +264,10 @@ class Bump(Obstacle):
 
 @dataclass(frozen=True, eq=False)
 class DerivedRoad(Road):
-    """Road that is derived from another road, with the same speed, track, duration and kinks.
+    """Road that is derived from an original road, with the same speed, track, duration and kinks.
 
     Attributes:
-        road: road from which this road is derived.
+        road: original road, from which this road is derived.
     """
 
     road: Road
@@ -366,11 +366,11 @@ class ScaledRoad(DerivedRoad):
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Jumps of the other road, multiplied by the factor."""
+        """Height jumps of the original road, multiplied by the factor."""
         return tuple((time, self.factor * height) for time, height in self.road.jumps)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the other road, multiplied by the factor [m]."""
+        """Returns the height of the original road, multiplied by the factor [m]."""
         return self.factor * self.road.displacement(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
@@ -378,11 +378,11 @@ class ScaledRoad(DerivedRoad):
         return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the velocity of the other road, multiplied by the factor [m/s]."""
+        """Returns the velocity of the original road, multiplied by the factor [m/s]."""
         return self.factor * self.road.velocity(t, side)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the description of the other road, extended by the factor."""
+        """Returns the description of the original road, extended by the factor."""
         return {**self.road.describe(), "factor": self.factor}
 
     def scaled(self, factor: float) -> "ScaledRoad":
@@ -404,7 +404,7 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
     start, end = t - length / 2, t + length / 2
 
     def area(a: Array, b: Array) -> Array:
-        """Returns integrals from a to b, by Gauss quadrature with two points."""
+        """Returns the integrals of the function from a to b, by Gauss quadrature with two points."""
         middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
         return (b - a) / 2 * (function(middle - apart) + function(middle + apart))
 
@@ -597,12 +597,12 @@ class RoadInput:
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
     def vertical_edges(self, held: bool = True) -> dict[int, Edge]:
-        """Returns the vertical edges of the road, by number of the sample.
+        """Returns the vertical edges of the road, by the number of the sample at which each edge acts.
 
         Args:
             held: True for the road that MuJoCo holds over steps. An edge in the first half of a step acts at the beginning of
                 the step. An edge in the second half acts at the end, where the sample already has the height behind the edge.
-                False to return the last samples before the edges.
+                False to assign each edge to the last sample before it.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
@@ -614,7 +614,7 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns the heights under the wheels at the given number of samples after the last sample [m], shape (count, r)."""
+        """Returns the heights under the wheels at `count` additional samples after the last one [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 

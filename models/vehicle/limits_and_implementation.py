@@ -111,7 +111,7 @@ class Limits(LimitsSection):
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
-        """The keys of `[limits]` that are given and limit actuators."""
+        """The keys of `[limits]` that the vehicle file contains and that limit actuators."""
         keys = ("actuator_force", "actuator_bandwidth", "force_rate", "limit")
         return tuple(name for name in keys if getattr(self, name) is not None)
 
@@ -191,7 +191,7 @@ class CommandLimiter:
     change: Array
 
     def __call__(self, requested: Array, last: Array) -> Array:
-        """Returns the commands of a sample.
+        """Returns the commands of a sample: the requested forces within the limits [N].
 
         Args:
             requested: requested forces [N], shape (N, m).
@@ -279,7 +279,7 @@ class Implementation(Section):
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """Returns the implementation for signals, noise and resolution that are all multiplied by a factor."""
+        """Returns the implementation with noise and quantisation multiplied by the same factor as the signals."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 

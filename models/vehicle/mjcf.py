@@ -207,7 +207,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
         drawn: False to omit visual parts. Without them, a step gives the same numbers, but takes about 5 % less time.
 
     Raises:
-        InputError: any error of `build_spec`; or the model does not match the equations of motion.
+        InputError: `build_spec` raises this error, or the model does not match the equations of motion.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
@@ -355,7 +355,7 @@ def has_geometry(vehicle: Vehicle) -> bool:
     names = list(dict.fromkeys(part for name in vehicle.sensed_signals for part in combined.get(name, {name: 1.0})))
 
     def read(motion: Array) -> tuple[list[Array], Array]:
-        """Returns matrices and measurements for positions, velocities and accelerations, shape (3, n)."""
+        """Returns the model's matrices and the sensor values at given positions, velocities and accelerations, shape (3, n)."""
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = motion[0], motion[1]
         mujoco.mj_forward(model, data)

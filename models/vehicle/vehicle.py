@@ -722,7 +722,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         The vehicle, with its parameters in SI units.
 
     Raises:
-        InputError: any error of `read_vehicle`; or the text refers to another file, which only `read_vehicle` reads.
+        InputError: the text refers to another file, which only `read_vehicle` reads, or is invalid for one of the reasons
+            listed in `read_vehicle`.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle

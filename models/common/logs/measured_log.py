@@ -72,7 +72,7 @@ def read_measured_log(
         units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
         columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
-            unit, the heading may contain it.
+            unit for the column, the heading given here may contain the unit.
 
     Returns:
         The measured signals in SI units, with their times.
