@@ -11,8 +11,8 @@ If a controller commands a control force u*, the valve sets the coefficient that
     c = clip(c_s - u* / v, c_min, c_max).
 
 If the damper has characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), where h is defined below.
-The coefficient is computed from the velocity at the controller's sample, and held until the next sample. If v is 0 but u* is
-not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
+At each sample of the controller, the coefficient is computed from the velocity, and then held until the next sample. If v is 0
+but u* is not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
 
 The limits can also be measured characteristics: the force over velocity at the softest setting, F_min, and at the firmest
 setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with the

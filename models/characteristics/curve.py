@@ -5,7 +5,7 @@ damper dissipates energy if force and velocity have the same sign. Outside the r
 extrapolated linearly with the slopes of its first and last segments.
 
 Linear analysis uses the slope s at 0; at a kink, it uses the mean of the slopes on the two sides. The deviation of the force F
-from this line is a sum of straight segments, each between two bounds:
+from the straight line s x is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
@@ -29,7 +29,8 @@ STRAIGHT = 1e-12  # slopes that differ by less than this share of the steepest s
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Segments of the deviation of characteristics from straight lines: P segments for each characteristic, shape (..., P).
+    """Segments whose sum is the deviation of a characteristic from a straight line; P segments for each characteristic, shape
+    (..., P).
 
     Attributes:
         slope: slope a of each segment [N per unit of the argument], shape (..., P).
@@ -150,7 +151,7 @@ class ForceCurve:
 
     @cached_property
     def pieces(self) -> Pieces:
-        """Segments of the deviation from the line of linear analysis."""
+        """Segments whose sum is the deviation from the straight line of linear analysis."""
         edges, rows = np.concatenate([[-np.inf], self.x, [np.inf]]), []
         for left, right, slope in zip(edges[:-1], edges[1:], self.slopes - self.slope, strict=True):
             if abs(slope) > STRAIGHT * np.abs(self.slopes).max():
@@ -166,7 +167,7 @@ class ForceCurve:
 
     @property
     def slope_range(self) -> tuple[float, float]:
-        """The smallest and the largest slope."""
+        """The smallest and the largest slope of the characteristic."""
         return float(self.slopes.min()), float(self.slopes.max())
 
     def work(self, x: Array) -> Array:

@@ -2,8 +2,8 @@
 
 The algorithm is that of H. Imai and M. Iri (1986), An optimal algorithm for approximating a piecewise linear function, J. Inf.
 Process. 9, 159-162. The ends of the segments are points of the characteristic. The characteristic and its approximation are
-straight between points, so the largest error is at a point. The segments next to 0 have the slopes of the characteristic's own
-points, which linear analysis uses.
+straight between points, so the largest error is at a point. The segments next to 0 keep the slopes of the characteristic,
+because linear analysis uses these slopes.
 """
 
 import numpy as np
@@ -49,7 +49,8 @@ def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> in
 
 
 def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: float) -> tuple[Array, Array]:
-    """Returns the ends of as few straight segments as possible, shapes (k,). The segments next to 0 have given slopes.
+    """Returns the ends of as few straight segments as possible, shapes (k,). The segments next to 0 have the slopes in
+    `slopes`.
 
     Args:
         x: points of the characteristic, ascending, shape (n,).

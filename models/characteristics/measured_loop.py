@@ -2,8 +2,8 @@
 
 In such a test, the force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
 or to the branch on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and the
-hysteresis is half of their difference. Because of noise, the mean force may fall in places. The mean is then replaced by the
-non-decreasing function that is closest in the least-squares sense (isotonic regression).
+hysteresis is half of their difference. Because of noise, the mean force may decrease in some ranges of the argument. The mean
+is then replaced by the non-decreasing function that is closest in the least-squares sense (isotonic regression).
 
 If a damper has play or friction, its slope at velocity 0 differs from the coefficient of a linear damper that dissipates the
 same energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F

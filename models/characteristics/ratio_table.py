@@ -132,8 +132,8 @@ class RatioTable:
     def damper(self, curve: ForceCurve) -> ForceSurface:
         """Returns the force of a damper at the wheel, over velocity and deflection.
 
-        The force of a position-dependent damper is computed at the deflections of both tables and at `COLUMNS` more
-        deflections. The force is interpolated linearly between these deflections.
+        The force of a position-dependent damper is computed at the deflections of its own table, at those of the ratio table,
+        and at `COLUMNS` more deflections. The force is interpolated linearly between all these deflections.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):

@@ -1,4 +1,5 @@
-"""Checks of values by their annotations. A value that does not fit raises an `InputError` with the name of the argument.
+"""Checks of values against their type annotations. A value that does not fit raises an `InputError` with the name of the
+argument.
 
 `models.common.lazy` wraps every public function in `check_arguments`. Calls within the packages are not checked. Dataclasses
 derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any value, because only

@@ -176,7 +176,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Adds an option for an integer from `low` to `high`, or for several integers if `many` is True.
 
-        `unset` is the value without the option, which `default` describes in the help text.
+        `unset` is the value if the option is not given; `default` describes this value in the help text.
         """
 
         def count(text: str) -> int:
@@ -194,7 +194,7 @@ class Parser(argparse.ArgumentParser):
     def add_printed(self, what: str, brief: str = "") -> None:
         """Adds `--verbose`, `--json` and, if it has a help text, `--brief`.
 
-        A command line may contain only one of these options.
+        A command line may contain only one of these three options.
 
         Args:
             what: details that `--verbose` prints.
@@ -285,7 +285,7 @@ def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
     Args:
         names: names of all allowed controllers.
         given: value of `--controller`.
-        usual: controller without `--controller`; empty if the option is required.
+        usual: controller that is used if `--controller` is not given; empty if the option is required.
 
     Raises:
         InputError: no name is given, or the name is unknown.
@@ -380,7 +380,7 @@ def _page(text: str) -> str:
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example as lines that fit the width of the output and that a user can copy together."""
+    """Returns an example as lines that fit the width of the output and that a user can copy as a whole."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 

@@ -141,7 +141,7 @@ class Stages:
     def __call__(self, text: str) -> None:
         """Begins the stage with this name.
 
-        Any other text is shown as progress of the current stage; an empty text clears it.
+        Any other text is shown as progress of the current stage; an empty text clears the line of progress.
         """
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""

@@ -1,6 +1,7 @@
 """Columns of tables in users' files: names, units and signs.
 
-Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table.
+Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table of
+quantities.
 """
 
 import re

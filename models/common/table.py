@@ -139,7 +139,7 @@ class NumberTable:
         Args:
             columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
                 ignored.
-            ragged: True if numbers may follow the last column.
+            ragged: True if a line may contain additional numbers after the last column.
             gaps: True if cells may be missing, as in `MISSING`; they become NaN.
 
         Raises:

@@ -15,12 +15,12 @@ from models.common.files import parse_toml
 
 @dataclass(frozen=True)
 class Replacement:
-    """Keys with values that replace one key in a TOML text.
+    """Replacement of one key in a TOML text by several keys with values.
 
     Attributes:
         path: names of the sections that contain the key, from the outermost, and the name of the key itself.
         values: the new keys with their values.
-        comment: comment on the line above; empty for no comment.
+        comment: comment on the line above the new keys; empty for no comment.
         files: paths of the files from which the values were read.
     """
 

@@ -125,7 +125,7 @@ class Record(Generic[T]):
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a value for another record, which then contains objects of this record.
+        """Returns a function for use as a value in an outer record, which then contains objects of this record.
 
         Args:
             get: field, function or attribute that gives one result, or a list, tuple or mapping of results.
@@ -145,7 +145,7 @@ OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
-    """Returns a value for a record; if the value is None or empty, the record omits the key."""
+    """Returns a function for use as a value in a record; if its result is None or empty, the record omits the key."""
 
     def value(one: T) -> Any:
         found = get(one)

@@ -143,7 +143,7 @@ def fragment(document: Document) -> str:
 
 
 def _environment(number: Callable[[str], str]) -> Any:
-    """Returns the templates, with the functions that they call.
+    """Returns the Jinja2 templates of the page, together with the functions that these templates call.
 
     Args:
         number: function that returns the label of the next "Table" or "Figure".

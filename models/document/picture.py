@@ -247,7 +247,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
 
 
 def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
-    """Draws bars. The name and the text of each bar are above it."""
+    """Draws bars. The name and the text of each bar are above the bar."""
     from matplotlib.patches import Rectangle
 
     width = BARS - 16

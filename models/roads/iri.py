@@ -1,4 +1,4 @@
-"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or on average.
+"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or the mean over random roads.
 
 Source: M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile",
 Transportation Research Record 1501, 1-12; ASTM E1926. The golden car, a quarter-car with fixed parameters, drives at 80 km/h
@@ -299,11 +299,11 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     weight[0] /= 2
 
     def moments(own: Array, other: Array, free: Array) -> tuple[float, float]:
-        """Returns the mean and the standard deviation of the mean of the magnitudes of two signals.
+        """Returns mean and standard deviation, among random roads, of the mean IRI of two responses of the car.
 
         Args:
-            own: spectrum of the first signal.
-            other: spectrum of the second signal.
+            own: spectrum of each response; both responses have the same spectrum.
+            other: cross-spectrum of the two responses; `own` for a single response.
             free: share of each sinusoid's mean square that varies between roads.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
@@ -331,7 +331,7 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
 def _start_distance(low: float, high: float, distance: float) -> float:
     """Returns the effect of the start as a distance [m]: the start reduces the mean IRI as if this distance were missing.
 
-    The result is exact for white slopes, and approximate for the mean of two tracks.
+    The result is exact if the slope is white noise, and approximate for the mean of two tracks.
     """
     ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])

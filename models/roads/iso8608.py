@@ -6,7 +6,7 @@ The vertical displacement of a road has the one-sided power spectral density
 
 These values are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit
 between A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the International Roughness Index
-(IRI) may be given. An IRI means the G_d(n0) of roads with this mean IRI.
+(IRI) may be given. If the IRI is given, G_d(n0) is that of roads with this mean IRI.
 
 A road is a sum of sinusoids with the frequencies n_k = k / length, the amplitudes sqrt(2 G_d(n_k) / length) and random phases.
 By default, the band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Sinusoids below the band would be hills.

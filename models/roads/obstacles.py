@@ -155,7 +155,7 @@ class Pothole(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of both steps [m]."""
+        """Returns the height of the road [m], the sum of both steps."""
         down, up = self._edges
         return self._under(side) * (down.displacement(t) + up.displacement(t - self.duration + up.duration))
 

@@ -150,8 +150,8 @@ class Road(ABC):
     def jumps(self) -> tuple[tuple[float, float], ...]:
         """Times [s] at which the height jumps, each with the change of height [m].
 
-        At the time of a jump, the road still has its earlier height. The method `velocity` does not include jumps, but `kinks`
-        includes their times.
+        At the time of a jump, the road still has the height before the jump. The method `velocity` does not include jumps, but
+        `kinks` includes their times.
         """
         return ()
 
@@ -292,7 +292,7 @@ class MeasuredRoad(Road):
 
     @abstractmethod
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on a side."""
+        """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on one side of the vehicle."""
 
     @abstractmethod
     def departure(self, t: Array, side: str = "") -> Array:
@@ -356,7 +356,7 @@ class Departure(DerivedRoad):
 
 @dataclass(frozen=True)
 class ScaledRoad(DerivedRoad):
-    """Road with multiplied heights.
+    """Road whose heights are multiplied by a factor.
 
     Attributes:
         factor: factor on the heights.
@@ -457,7 +457,8 @@ class Edge(NamedTuple):
     """Vertical edge of the road near a sample.
 
     Attributes:
-        change: change of the heights under the r wheels from this side of the edge to the other side [m], shape (r,).
+        change: change of the heights under the r wheels from the sample's side of the edge to the opposite side [m], shape
+            (r,).
         behind: True if, at the sample, the wheels are already behind the edge.
     """
 
@@ -506,7 +507,7 @@ class RoadInput:
         return self.road.from_start
 
     def steady_signals(self, time: Array) -> Array | None:
-        """Returns the vehicle's signals in the steady motion, from its linear model.
+        """Returns the vehicle's signals in the steady motion, computed from the linear model.
 
         The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero with
         two exceptions: posts can warp the vehicle, and the weight of an inclined body with a roll or pitch axis has a moment.
@@ -565,7 +566,7 @@ class RoadInput:
 
     @cached_property
     def held_velocities(self) -> Array:
-        """Mean rates of the heights over the steps that begin at the samples [m/s], shape (T, r).
+        """Mean rates of change of the heights over the time steps that begin at the samples [m/s], shape (T, r).
 
         MuJoCo holds these velocities over the steps.
 
@@ -577,7 +578,7 @@ class RoadInput:
 
     @cached_property
     def held_inputs(self) -> Array:
-        """All inputs that are held over the steps: loads, and road velocities if tyres have damping.
+        """All inputs held constant over time steps: loads, and road velocities if tyres have damping.
 
         The shape is (T, l), or (T, l + r) with tyre damping.
         """
@@ -592,7 +593,9 @@ class RoadInput:
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs that act on the measurements before new forces act: present loads, and road velocities before the samples."""
+        """Inputs that act on each sample's measurements, before new forces act: present loads, and road velocities before the
+        sample.
+        """
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 

@@ -327,7 +327,7 @@ def _entry(
 ) -> ControllerEntry:
     """Returns the controller that a section describes.
 
-    `read_controllers` then checks it together with other entries of the file.
+    `read_controllers` then checks the controller together with other entries of the file.
     """
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)

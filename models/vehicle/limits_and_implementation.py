@@ -79,7 +79,7 @@ class Limits(LimitsSection):
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
     def stops_at(self, corner: str) -> "BumpAndRebound | None":
-        """Returns the bump stops of a corner, or None if it has no stops."""
+        """Returns the bump stops of a corner, or None if the corner has no stops."""
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
@@ -205,7 +205,7 @@ def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter 
     """Returns the limiter for the commands of N vehicles; None if none of the vehicles has a rate limit.
 
     Args:
-        vehicles: the vehicles. If any of them has a rate limit, none may have semi-active dampers.
+        vehicles: the vehicles. If any of these vehicles has a rate limit, none may have semi-active dampers.
         timestep: sample period of controllers that do not define one [s].
     """
     if all(vehicle.limits.force_rate is None for vehicle in vehicles):

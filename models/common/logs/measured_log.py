@@ -151,7 +151,8 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
     """Returns the column of each signal, by the name of the signal.
 
     Raises:
-        InputError: no column belongs to a signal, several columns belong to the same signal, or a given heading does not exist.
+        InputError: no column belongs to a signal, several columns belong to the same signal, or a heading in `columns` does not
+            exist.
     """
     used = dict[str, Heading]()
     for name, unit in units.items():

@@ -128,7 +128,7 @@ class RampedLoad(Section, Load):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of the ends of rise and fall [s]."""
+        """Times at which the rise and the fall begin and end [s]."""
         start, rise, hold = self._history
         going = start + rise + hold
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
@@ -214,9 +214,9 @@ class Cornering(_Inertial):
 
 
 def _vertical_force(force: float, x: float, y: float) -> dict[str, float]:
-    """Returns a vertical force [N] at a position [m], and its moments.
+    """Returns a vertical force [N], and the moments [N m] that it causes because of its position.
 
-    Zero moments are omitted for vehicles without pitch or roll.
+    Moments that are 0 are omitted, so that the force can also act on vehicles without pitch or roll.
     """
     return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
 
