@@ -49,7 +49,7 @@ ON_DEMAND = (signals.UNSPRUNG_ACCELERATION, *HEIGHTS)
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """Returns the linear model (29)-(32).
+    """Returns the linear model, equations (29)-(32) of the paper.
 
     Args:
         p: parameters by name [SI].

@@ -1,8 +1,8 @@
 """`[actuators]` of a vehicle file: each suspension has a force actuator or a semi-active damper.
 
 A valve sets the coefficient c of a semi-active damper between c_min and c_max. The damper gives the force -c v, where v is the
-velocity at which its suspension extends. The linear model (28) contains the nominal coefficient c_s. The control force is the
-deviation from the force of the nominal damper:
+velocity at which its suspension extends. The linear model, (28) in the paper, contains the nominal coefficient c_s. The control
+force u is the difference between the damper's force and the force with the nominal coefficient:
 
     u = -(c - c_s) v.
 
@@ -11,17 +11,18 @@ If a controller commands a control force u*, the valve sets the coefficient that
     c = clip(c_s - u* / v, c_min, c_max).
 
 If the damper has characteristics instead of c_min and c_max, c = clip(c_s - u* / h(v), c_min, c_max), where h is defined below.
-The coefficient is computed from the velocity at the controller's sample, and held until the next sample. If v is 0 but u* is
-not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
+At each sample of the controller, the coefficient is computed from the velocity, and then held until the next sample. If v is 0
+but u* is not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
 
 The limits can also be measured characteristics: the force over velocity at the softest setting, F_min, and at the firmest
-setting, F_max (`models.parts`). With the valve setting s from 0 to 1, the damper pulls with
+setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with the
+force
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
-where c_min and c_max are the slopes of F_min and F_max at v = 0. A setting is identified by its coefficient at v = 0, c = c_min
-+ s (c_max - c_min). The function h is a velocity with slope 1 at v = 0. The function is as nonlinear as the characteristics. If
-they are straight, h = v and F = c v.
+where c_min and c_max are the slopes of F_min and F_max at v = 0. A setting is also given by its coefficient at v = 0, c = c_min
++ s (c_max - c_min). The function h(v) is a velocity, and its slope at v = 0 is 1. If the characteristics are straight lines, h
+= v and F = c v; otherwise, h can be nonlinear.
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,10 +74,11 @@ class Envelope:
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """Ramps whose sum is the deviation of h from a line, each as knot [m/s], slope increase beyond it, and side (1 or -1).
+        """Ramps whose sum is the difference between h and a straight line: knot [m/s] at which each ramp begins, its slope, and
+        1 or -1. A ramp with 1 acts at velocities above its knot, a ramp with -1 at velocities below it.
 
-        The increase of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of its actuator as a
-        damping ratio.
+        The slope of a ramp that begins at 0 is never negative, because MuJoCo would interpret the bias of the ramp's actuator
+        as a damping ratio.
         """
         x, slopes = self.knots, self.shape.slopes
         rest = int(np.searchsorted(x, 0.0))
@@ -99,7 +101,7 @@ class Envelope:
 
 
 def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
-    """Returns a pair of characteristics as the limits of a semi-active damper.
+    """Returns the two characteristics as an object that limits the force of a semi-active damper.
 
     Args:
         soft: characteristic at the softest setting.
@@ -156,7 +158,7 @@ class Damper:
     pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
-        """Returns the damper of a vehicle that has the given elements of `[parts]`."""
+        """Returns the damper that acts in a vehicle with the given elements of `[parts]`."""
         return self
 
     @property
@@ -168,7 +170,9 @@ class Damper:
 
 
 def _coefficient(setting: str, low: float) -> ReadBy:
-    """Returns the declaration of a key for a damper's coefficient at a setting, or for its table of force over velocity."""
+    """Returns the declaration of the key that gives a damper's coefficient, or its table of force over velocity, at one
+    setting.
+    """
     number = SI("N s/m", f"coefficient at the {setting} setting, or the table of its force", low)
 
     def read(value: Any, context: Mapping[str, Any]) -> float | ForceCurve:
@@ -229,8 +233,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]` and returns the semi-active dampers, by the name of the control force that each damper produces.
 
     Args:
-        section: section `[actuators]`: keys for all dampers, and sections for single dampers. The name of a damper's section is
-            the suffix of its force.
+        section: section `[actuators]` with keys for all dampers, and with sections for single dampers. Each of these sections
+            is named after the suffix of the damper's control force.
         corners: suffix of the name of each control force, including the underscore.
         limited: keys in `[limits]` of the file that limit force actuators.
 

@@ -5,13 +5,12 @@ damper dissipates energy if force and velocity have the same sign. Outside the r
 extrapolated linearly with the slopes of its first and last segments.
 
 Linear analysis uses the slope s at 0; at a kink, it uses the mean of the slopes on the two sides. The deviation of the force F
-from this line is a sum of straight segments, each between two bounds:
+from the straight line s x is a sum of straight segments, each between two bounds:
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-There is a term for every segment whose slope is not s. The argument of the term is measured from the end of the segment with
-the smaller magnitude. A straight characteristic has no terms. The sum is also valid for a characteristic that falls in some
-segments.
+The sum has a term for every segment whose slope is not s. In this term, k_i is the end of the segment that is closer to 0. A
+straight characteristic has no terms. The sum is also valid for a characteristic whose force falls in some segments.
 """
 
 from collections.abc import Sequence
@@ -30,7 +29,8 @@ STRAIGHT = 1e-12  # slopes that differ by less than this share of the steepest s
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Segments of the deviation of characteristics from straight lines: P segments for each characteristic, shape (..., P).
+    """Segments whose sum is the deviation of a characteristic from a straight line; P segments for each characteristic, shape
+    (..., P).
 
     Attributes:
         slope: slope a of each segment [N per unit of the argument], shape (..., P).
@@ -45,7 +45,7 @@ class Pieces:
     high: Array
 
     def force(self, x: Array) -> Array:
-        """Returns the sum of the segments at given arguments [N], shape (...)."""
+        """Returns the sum of the forces of all segments at the arguments x [N], shape (...)."""
         # This code runs in each stage of a time step, so it does not use NumPy's `clip` and `sum`, which would take twice as
         # long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
@@ -56,7 +56,9 @@ class Pieces:
 
     @staticmethod
     def stacked(each: "Sequence[Pieces | None]", shape: tuple[int, ...]) -> "Pieces":
-        """Returns the segments of several characteristics, shape (*shape, P). The segments of None are 0."""
+        """Returns the segments of several characteristics, shape (*shape, P). For an entry None, all values of the segments are
+        0.
+        """
         stacked = np.zeros((4, len(each), max(len(one.slope) for one in each if one is not None)))
         for i, one in enumerate(each):
             if one is not None:
@@ -77,10 +79,10 @@ class ForceCurve:
         force: forces at the points [N], 0 at x = 0, shape (n,).
         slope: slope of the straight line that linear analysis uses [N s/m or N/m].
         words: description of the characteristic, a phrase.
-        at_rest: force of the original table in equilibrium [N], which is not included in `force`.
+        at_rest: force of the user's table in equilibrium [N], which has been subtracted from `force`.
         note: remark about the table in the file, a phrase.
-        whole: characteristic with all points of the table, if this object has fewer points.
-        error: largest difference from `whole` [N].
+        whole: characteristic with all points of the table; None if this object contains all of them.
+        error: largest difference between the force of this object and the force of `whole` [N].
     """
 
     x: Array
@@ -149,7 +151,7 @@ class ForceCurve:
 
     @cached_property
     def pieces(self) -> Pieces:
-        """Segments of the deviation from the line of linear analysis."""
+        """Segments whose sum is the deviation from the straight line of linear analysis."""
         edges, rows = np.concatenate([[-np.inf], self.x, [np.inf]]), []
         for left, right, slope in zip(edges[:-1], edges[1:], self.slopes - self.slope, strict=True):
             if abs(slope) > STRAIGHT * np.abs(self.slopes).max():
@@ -165,7 +167,7 @@ class ForceCurve:
 
     @property
     def slope_range(self) -> tuple[float, float]:
-        """The smallest and the largest slope."""
+        """The smallest and the largest slope of the characteristic."""
         return float(self.slopes.min()), float(self.slopes.max())
 
     def work(self, x: Array) -> Array:

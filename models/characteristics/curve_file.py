@@ -47,14 +47,14 @@ HEAD = re.compile(r"\{(.*?)\}")
 
 
 def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
-    """Yields the tables that replace file names of characteristics and stops in a vehicle file.
+    """Yields, for each file name of a characteristic or stop in a vehicle file, the table that replaces the name.
 
     Args:
         data: tables of the vehicle file.
         folder: folder of the vehicle file, to which paths are relative.
 
     Raises:
-        InputError: a file is missing, or does not contain a characteristic. The message gives the file.
+        InputError: a file is missing, or does not contain a characteristic. The message contains the path of the file.
     """
     for path, entry in _with_files(data):
         sources: list[tuple[str, Path]] = []
@@ -73,7 +73,9 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
 
 
 def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields those entries of characteristics, dampers and stops that contain file names, each with its path."""
+    """Yields those entries of characteristics, dampers and stops that contain file names, each with the keys that lead to the
+    entry.
+    """
     for section in ("curves", "actuators"):
         yield from _entries_with_files(data.get(section), (section,))
     limits = data.get("limits")
@@ -85,7 +87,7 @@ def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]
 
 
 def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yields the entries at and below a path that contain file names.
+    """Yields an entry if it contains a file name, or otherwise all entries below it that contain file names.
 
     Args:
         entry: entry of the vehicle file.
@@ -115,7 +117,9 @@ def _without_file(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _argument(path: tuple[str, ...]) -> str:
-    """Returns the argument of the force in an entry, or "ratio" for a motion ratio; empty for a parameter with a custom name."""
+    """Returns the variable on which the force of an entry depends, or "ratio" for a motion ratio; empty for a parameter with a
+    custom name.
+    """
     if path[0] == "limits":
         return "compression"
     if path[0] == "actuators" or "damping" in path[-1]:

@@ -2,8 +2,8 @@
 
 The algorithm is that of H. Imai and M. Iri (1986), An optimal algorithm for approximating a piecewise linear function, J. Inf.
 Process. 9, 159-162. The ends of the segments are points of the characteristic. The characteristic and its approximation are
-straight between points, so the largest error is at a point. The segments next to 0 have the slopes of the characteristic's own
-points, which linear analysis uses.
+straight between points, so the largest error is at a point. The segments next to 0 keep the slopes of the characteristic,
+because linear analysis uses these slopes.
 """
 
 import numpy as np
@@ -35,7 +35,9 @@ def point_indices(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point that a straight line can reach with at most the allowed error at all points in between."""
+    """Returns the last point that a straight line from the point `first` can reach with at most the allowed error at all points
+    in between.
+    """
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # Every point between the two ends limits the slope of the line from above and from below.
     steepest = np.minimum.accumulate((rise + error) / run)
@@ -47,7 +49,8 @@ def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> in
 
 
 def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: float) -> tuple[Array, Array]:
-    """Returns the ends of as few straight segments as possible, shapes (k,). The segments next to 0 have given slopes.
+    """Returns the ends of as few straight segments as possible, shapes (k,). The segments next to 0 have the slopes in
+    `slopes`.
 
     Args:
         x: points of the characteristic, ascending, shape (n,).

@@ -24,7 +24,8 @@ LEAST_CORRELATION = 0.05  # the force counts as independent of the velocity if t
 
 
 def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:
-    """Returns velocity [m/s] and force [N] of the last full cycles in a log, shapes (k,), and describes the method in a phrase.
+    """Returns velocity [m/s] and force [N] of the last full cycles in a log, shapes (k,), and a phrase that describes the
+    method.
 
     Args:
         time: times of the samples, ascending [s], shape (n,).

@@ -1,6 +1,6 @@
 """`[curves]` of a vehicle file: tables of damper force over velocity, or of spring force over deflection.
 
-The tables are checked, and approximated with fewer points.
+The tables are checked, and approximated by tables with fewer points.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -82,7 +82,7 @@ class Argument(ListedValues):
     slope: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the values of the argument."""
+        """Returns the values of the velocity, deflection or compression, after checking that they ascend."""
         x = np.array(super().read(value, context))
         for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
             do = f"sort the points by {self.name}, and give each value once" if x[i] >= x[i + 1] else "omit one of them"
@@ -163,7 +163,7 @@ class Preload(SI):
     """The load that a table carries in equilibrium; the value `true` means the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the load, or True or False."""
+        """Returns the load [N], or the value if it is `true` or `false`."""
         return value if isinstance(value, bool) else super().read(value, context)
 
     @property
@@ -228,7 +228,7 @@ def read_curves(
     Args:
         section: the section `[curves]`.
         parameters: parameters that a characteristic can replace, each with the variable on which the characteristic depends.
-        load: function that returns the static load of a spring [N] for the name of its parameter; None if it is unknown.
+        load: function that returns the static load of a spring [N] for the name of its parameter, or None for an unknown load.
 
     Raises:
         InputError: an entry is not a characteristic, or not valid for a suspension.
@@ -252,7 +252,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
         where: place of the entry, for messages.
         entry: the table, or the list of tables and slopes.
         over: argument of the characteristic.
-        load: function that returns the static load of the spring [N]; None if it is unknown.
+        load: function that returns the static load of the spring [N], or None for an unknown load.
 
     Raises:
         InputError: the entry is not a characteristic, or not valid for a suspension.
@@ -312,7 +312,7 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
         preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the table.
-        alone: False if the characteristic is a sum of several tables; this table may then belong to a stop that acts only on
+        alone: False if the characteristic is a sum of several tables, so that this table may belong to a stop that acts only on
             one side of equilibrium.
     """
     if preload:
@@ -386,7 +386,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
 def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Array, str]:
     """Approximates a characteristic by as few straight segments as possible.
 
-    The segments at 0 have the slopes of the given points.
+    At 0, the approximation has the same slopes as the points.
 
     Args:
         x: values of the argument, ascending, shape (n,).

@@ -2,8 +2,8 @@
 
 In such a test, the force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
 or to the branch on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and the
-hysteresis is half of their difference. Because of noise, the mean force may fall in places. The mean is then replaced by the
-non-decreasing function that is closest in the least-squares sense (isotonic regression).
+hysteresis is half of their difference. Because of noise, the mean force may decrease in some ranges of the argument. The mean
+is then replaced by the non-decreasing function that is closest in the least-squares sense (isotonic regression).
 
 If a damper has play or friction, its slope at velocity 0 differs from the coefficient of a linear damper that dissipates the
 same energy in the test. For samples at a constant rate, this coefficient is the sum of F v divided by the sum of v^2, where F
@@ -30,7 +30,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
     Args:
         x: values of the argument in the order of the measurement, shape (n,).
         force: force at each of these values [N], shape (n,).
-        unit: unit of the argument, for the phrase.
+        unit: unit of the argument, for the returned phrase.
         at_rest: True to subtract the mean force at argument 0, which is caused by the gas in a damper.
 
     Returns:
@@ -64,7 +64,9 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
 
 def slope_words(curve: ForceCurve) -> str:
-    """Describes the slope at 0 of a hysteresis loop's mean, and the range of this slope; empty if there is no loop."""
+    """Describes the slope at 0 of the mean of a hysteresis loop, and the range of arguments from which it is computed; empty
+    without a loop.
+    """
     if LOOP not in curve.note:
         return ""
     i = int(np.searchsorted(curve.x, 0.0))
@@ -74,7 +76,7 @@ def slope_words(curve: ForceCurve) -> str:
 
 
 def _bin_means(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:
-    """Returns the mean point of a branch in each bin of the argument, in ascending order."""
+    """Returns argument and force of a branch, averaged over the points in each bin of the argument, in ascending order."""
     which = np.minimum(((x - start) / span * BINS).astype(int), BINS - 1)
     count = np.bincount(which, minlength=BINS)
     means = [np.bincount(which, values, BINS)[count > 0] / count[count > 0] for values in (x, force)]

@@ -34,7 +34,8 @@ class RatioTable:
     Attributes:
         x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
         ratio: motion ratio r at these deflections, shape (n,).
-        straight: True to use the linearised springs and dampers of linear analysis instead of the table.
+        straight: True if springs and dampers with this ratio are linearised in equilibrium, as in linear analysis, and do not
+            use the table.
     """
 
     x: Array
@@ -62,7 +63,7 @@ class RatioTable:
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
     def shifted_to(self, rest: float) -> "RatioTable":
-        """Returns the table relative to another equilibrium.
+        """Returns the table with deflections that are measured from a new equilibrium.
 
         Args:
             rest: deflection at the new equilibrium [m].
@@ -77,7 +78,7 @@ class RatioTable:
         return replace(self, x=self.x - rest)
 
     def rest_at_load(self, rate: float, load: float, other: float) -> float:
-        """Returns the deflection at which a spring carries another load.
+        """Returns the deflection at which a spring carries the load `other`.
 
         Args:
             rate: stiffness of the spring [N/m].
@@ -93,7 +94,9 @@ class RatioTable:
 
     @cached_property
     def _segments(self) -> Array:
-        """Segments in and beyond the table: start, travel and ratio at the start, and slope of the ratio, shape (4, n + 1)."""
+        """Segments within and beyond the table: the start of each segment, travel and ratio at its start, and the slope of the
+        ratio, shape (4, n + 1).
+        """
         x, r = self.x, self.ratio
         at = np.concatenate([[0.0], np.cumsum((r[1:] + r[:-1]) / 2 * np.diff(x))])
         rest = int(np.searchsorted(x, 0.0, side="right")) - 1
@@ -129,8 +132,8 @@ class RatioTable:
     def damper(self, curve: ForceCurve) -> ForceSurface:
         """Returns the force of a damper at the wheel, over velocity and deflection.
 
-        The force of a position-dependent damper is computed at the deflections of both tables and at `COLUMNS` more
-        deflections. The force is interpolated linearly between these deflections.
+        The force of a position-dependent damper is computed at the deflections of its own table, at those of the ratio table,
+        and at `COLUMNS` more deflections. The force is interpolated linearly between all these deflections.
         """
         d, v, table = self.x, curve.x, np.repeat(curve.force[:, None], len(self.x), axis=1)
         if isinstance(curve, ForceSurface):
@@ -142,7 +145,9 @@ class RatioTable:
 
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
-    """Returns a straight characteristic with points at 0 and at two ends of travel, where the largest force is computed."""
+    """Returns a straight characteristic with points at 0 and at both ends of travel, so that `range` is its largest force in
+    this travel.
+    """
     x = np.array([low, 0.0, high])
     return ForceCurve(x, slope * x, slope, "a line")
 

@@ -24,7 +24,7 @@ NODES, WIDTH = 400, 6.0
 
 @dataclass(frozen=True, eq=False)
 class ForceSurface(ForceCurve):
-    """Force over velocity and deflection. Used as a `ForceCurve`, the object is the section of the table at deflection 0.
+    """Force over velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at deflection 0.
 
     Attributes:
         velocities: velocities u of the table [m/s], ascending, with 0 between the first and the last, shape (n,).
@@ -105,14 +105,16 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def ratios(self) -> Array:
-        """Constant and slope of the motion ratio r between the deflections and beyond them, shape (2, k + 1)."""
+        """Constants and slopes of the straight lines that give the motion ratio r between and beyond the deflections, shape (2,
+        k + 1).
+        """
         return np.stack(_lines(self.deflections, self.ratio))
 
 
 def _lines(d: Array, values: Array) -> tuple[Array, Array]:
-    """Returns the constants and slopes of straight lines between the values at the arguments d, shapes (..., k + 1).
+    """Returns the constants and slopes of the straight lines that join the values at the arguments d, shapes (..., k + 1).
 
-    Beyond the ends, the lines are constant.
+    Before the first and after the last argument, the lines are horizontal.
 
     Args:
         d: arguments, ascending, shape (k,).
@@ -125,7 +127,7 @@ def _lines(d: Array, values: Array) -> tuple[Array, Array]:
 
 
 def surface_of(velocities: Array, deflections: Array, table: Array, words: str, ratio: Array | None = None) -> ForceSurface:
-    """Returns a surface with its section at deflection 0; see `ForceSurface`. Without `ratio`, r is 1."""
+    """Returns the `ForceSurface` of a table, and computes its section at deflection 0. Without `ratio`, r is 1."""
     r = np.ones(len(deflections)) if ratio is None else ratio
     at_rest = float(np.interp(0.0, deflections, r))
     x = velocities / at_rest

@@ -1,1 +1,1 @@
-"""Common code of all packages, without vehicles: arrays, errors, options, files, units, interrupts and threads."""
+"""Code that all packages use and that contains no vehicles: arrays, errors, options, files, units, interrupts and threads."""

@@ -1,4 +1,4 @@
-"""The array type of all signatures, a check for matrices from users, and linear recursions.
+"""The array type that all signatures use, a check for matrices from users, and linear recursions.
 
 Docstrings give shapes and units. Entries are float64 unless a docstring describes them as complex.
 """
@@ -79,8 +79,8 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
     """Solves the recursion x[k+1] = Phi x[k] + forcing[k] with x[0] = `start`; returns x, shape (..., T, n).
 
     A Python loop over all T samples would be slow. The samples are therefore divided into about sqrt(T) stretches of about
-    sqrt(T) samples. The responses of all stretches from x = 0 are computed together. Then the effect of each stretch on the
-    following stretches is added.
+    sqrt(T) samples. The responses of all stretches are computed together, each from x = 0. Then the effect of each stretch on
+    the following stretches is added.
 
     Args:
         Phi: transition matrix of one sample, shape (n, n).

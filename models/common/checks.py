@@ -1,4 +1,5 @@
-"""Checks of values by their annotations. A value that does not fit raises an `InputError` with the name of the argument.
+"""Checks of values against their type annotations. A value that does not fit raises an `InputError` with the name of the
+argument.
 
 `models.common.lazy` wraps every public function in `check_arguments`. Calls within the packages are not checked. Dataclasses
 derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any value, because only
@@ -130,7 +131,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
 def check_arguments(function: F) -> F:
     """Returns a function that first checks its arguments by their annotations.
 
-    If the function returns a vehicle or runs, each warning about the vehicle or the runs is also issued, once.
+    If the result is a vehicle, a run or a list of runs, its warnings are also issued, each only once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
@@ -215,13 +216,13 @@ def plain(value: Any) -> Any:
 class _UnfitError(Exception):
     """Raised for a value that does not fit its annotation.
 
-    The first arguments are the place of the wrong part within the value, such as "[0]", and the part. The other arguments are
-    the annotation that the part does not fit, and a message. An empty message is replaced by the default message.
+    The first two arguments are the place of the wrong part in the value, such as "[0]", and the wrong part itself. The other
+    arguments are the annotation that the part does not fit, and a message. An empty message is replaced by the default message.
     """
 
 
 def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
-    """Returns a value if it fits an annotation. `allowed` is the whole annotation if `annotation` is only a part of it."""
+    """Returns a value if it fits an annotation. `allowed` is the whole annotation if `annotation` is only a part of `allowed`."""
     given, allowed = value, annotation if allowed is None else allowed
     outer, inner, fits = get_origin(annotation) or annotation, get_args(annotation), True
     if outer is Annotated:

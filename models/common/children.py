@@ -30,7 +30,7 @@ GRACE = 0.5  # time [s] that a child process has to finish after its parent has 
 
 
 class EndedError(Exception):
-    """The child process has ended. The message is its exit code or signal."""
+    """The child process has ended. The message contains the exit code, or the signal that ended the process."""
 
 
 class Child:
@@ -42,7 +42,7 @@ class Child:
         Args:
             answers: generator function that runs in the child. The function receives an iterator of messages and yields an
                 answer for each message. If the function yields or raises an exception, `receive` raises this exception. If the
-                function raises the exception, the child also ends.
+                function raises the exception instead of yielding it, the child also ends.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(
@@ -123,7 +123,7 @@ def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a child when it reads its next message, or kills it after twice the time `GRACE`."""
+    """Ends a child by closing its input, and kills the child if it still runs after twice the time `GRACE`."""
     assert process.stdin is not None, "it is a pipe"
     with suppress(OSError):
         process.stdin.close()

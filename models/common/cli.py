@@ -71,7 +71,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
 
 
 def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Repeats a Ctrl-C that arrived while a finaliser ran, for example in a garbage collection.
+    """Interrupts the command again after a Ctrl-C that arrived while a finaliser ran, for example during garbage collection.
 
     Without this function, Python would only print the interrupt.
     """

@@ -126,8 +126,8 @@ class Parser(argparse.ArgumentParser):
 
         Args:
             default: description of the controllers that are used without `--controller`.
-            several: purpose of several `--vehicle` options, whose attribute is then `vehicles`. Empty for commands with one
-                vehicle.
+            several: purpose of giving `--vehicle` several times, for the help text. The values are then in the attribute
+                `vehicles`. Empty for commands with one vehicle.
         """
         self.add_argument(
             "--controller",
@@ -176,7 +176,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Adds an option for an integer from `low` to `high`, or for several integers if `many` is True.
 
-        `unset` is the value without the option, which `default` describes in the help text.
+        `unset` is the value if the option is not given; `default` describes this value in the help text.
         """
 
         def count(text: str) -> int:
@@ -194,7 +194,7 @@ class Parser(argparse.ArgumentParser):
     def add_printed(self, what: str, brief: str = "") -> None:
         """Adds `--verbose`, `--json` and, if it has a help text, `--brief`.
 
-        A command line may contain only one of these options.
+        A command line may contain only one of these three options.
 
         Args:
             what: details that `--verbose` prints.
@@ -222,7 +222,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
-        """Adds `--logs`, for a command that records only on request."""
+        """Adds `--logs`, for a command that records logs only if this option is given."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
@@ -266,7 +266,7 @@ def chosen_of(
         usual: default names, as in `chosen_controllers`.
 
     Raises:
-        InputError: any error of `chosen_controllers`, or a vehicle has none of the selected controllers.
+        InputError: `chosen_controllers` raises this error, or a vehicle has none of the selected controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
     every = chosen_controllers(known, given, usual)
@@ -285,7 +285,7 @@ def one_chosen(names: Sequence[str], given: str | None, usual: str = "") -> str:
     Args:
         names: names of all allowed controllers.
         given: value of `--controller`.
-        usual: controller without `--controller`; empty if the option is required.
+        usual: controller that is used if `--controller` is not given; empty if the option is required.
 
     Raises:
         InputError: no name is given, or the name is unknown.
@@ -313,7 +313,7 @@ class _Once(argparse.Action):
 
 
 class _Vehicles(argparse.Action):
-    """Option that may be given several times. Its values replace the default."""
+    """Option that may be given several times. The values on the command line replace the default."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         before = getattr(namespace, self.dest) if self.dest in namespace.given else ()
@@ -380,7 +380,7 @@ def _page(text: str) -> str:
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example as lines that fit the width of the output and that a user can copy together."""
+    """Returns an example as lines that fit the width of the output and that a user can copy as a whole."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 

@@ -61,7 +61,7 @@ def list_names(names) -> str:
 
 
 def number_range(smallest: float, largest: float, unit: str = "") -> str:
-    """Returns the allowed range of a number with its unit, for a message; "1", "-" and "" denote pure numbers."""
+    """Returns the allowed range of a number with its unit, for a message; the units "1", "-" and "" denote pure numbers."""
     return f"a number from {smallest:g} to {largest:g} {'' if unit in ('1', '-') else unit}".rstrip()
 
 

@@ -1,7 +1,8 @@
-"""Extensions by name. The core of the three packages knows only these names, and imports an extension when its name is used.
+"""Extensions by name. The core of the three packages knows only the names of the extensions, and imports an extension when its
+name is used.
 
-The core, help pages, completion and messages use only the rows of `EXTENSIONS`. If a row and its file are removed, everything
-else still works.
+The core, help pages, completion and messages use only the rows of `EXTENSIONS`. If the row and the file of an extension are
+removed, everything else still works.
 """
 
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ class Registry(dict[str, str]):
     Attributes:
         sort: noun for an extension of this type, for messages.
         attributes: names of the attributes that each of these extensions must have.
-        texts: additional texts of the rows, for help pages.
+        texts: additional texts for help pages, by the name of the extension.
     """
 
     def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]], attributes: tuple[str, ...] = ()) -> None:
@@ -28,7 +29,7 @@ class Registry(dict[str, str]):
         self.sort, self.attributes, self.texts = sort, attributes, {name: row[1:] for name, row in each.items()}
 
     def load(self, name: str) -> Any:
-        """Imports and returns the extension with a name.
+        """Imports and returns the extension with a given name.
 
         Raises:
             InputError: no extension of this type has this name.
@@ -43,7 +44,7 @@ class Registry(dict[str, str]):
         return extension
 
     def load_if_known(self, name: str) -> Any:
-        """Returns the extension with a name, or None if no row has this name."""
+        """Returns the extension with a given name, or None if no row has this name."""
         return self.load(name) if name in self else None
 
     def load_all(self) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 A file is written under a temporary name and then renamed, so no program ever reads an incomplete file.
 
-If the path is a link, its target is replaced. The new file has the same permissions as the old file. A pipe, a device or
-standard output receives the content when it is complete.
+If the path is a link, its target is replaced. The new file has the same permissions as the file that it replaces. A pipe, a
+device or standard output receives the content when it is complete.
 """
 
 import hashlib
@@ -208,7 +208,9 @@ def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is equal for all paths of the same file or folder: links, hard links, and names in another case."""
+    """Returns a value that is equal for all paths of the same file or folder: links, hard links, and names that differ only in
+    upper and lower case.
+    """
     try:
         status = path.stat()
     except (OSError, ValueError):

@@ -79,7 +79,7 @@ def percent(share: float) -> str:
 
 
 def size(rows: Sequence[Any]) -> str:
-    """Returns the number of rows and of the numbers in a row, as a phrase."""
+    """Returns a phrase that gives the number of rows, and how many numbers a row contains."""
     lengths = " or ".join(str(length) for length in sorted({len(row) for row in rows})) or "no"
     return f"{len(rows)} row(s) of {lengths} number(s)"
 
@@ -132,7 +132,7 @@ def _show(message: str) -> None:
 
 
 class Stages:
-    """Numbered stages of a command: `[2/6] margins: 31 runs of 12 s to go`."""
+    """Numbered stages of a command, shown as: `[2/6] margins: 31 runs of 12 s to go`."""
 
     def __init__(self, *names: str) -> None:
         """Sets the names of the stages, in order."""
@@ -141,7 +141,7 @@ class Stages:
     def __call__(self, text: str) -> None:
         """Begins the stage with this name.
 
-        Any other text is shown as progress of the current stage; an empty text clears it.
+        Any other text is shown as progress of the current stage; an empty text clears the line of progress.
         """
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""
@@ -206,7 +206,7 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str], most: int = 
 
 
 def title_lines(title: str, source: str) -> list[str]:
-    """Returns a title and, on the next line, the path of the file that it describes."""
+    """Returns a title and, on the next line, the path of the file to which the title refers."""
     return [title, Whole(f"{GAP}{source}")]
 
 

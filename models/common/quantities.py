@@ -1,6 +1,7 @@
 """Columns of tables in users' files: names, units and signs.
 
-Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table.
+Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table of
+quantities.
 """
 
 import re
@@ -85,7 +86,9 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if none or several are named."""
+        """Key in `QUANTITIES` of the column's quantity; empty if a word is unknown, or if the heading names no quantity or
+        several.
+        """
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
             named.discard("height")  # a heading "left height" means the same as "height left"

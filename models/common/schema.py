@@ -1,4 +1,4 @@
-"""Declarations of the sections of a file, as data.
+"""Declarations of the sections of a file.
 
 A section is a frozen dataclass; the annotation of each field gives unit, range and meaning.
 
@@ -37,7 +37,7 @@ PLACES = re.compile(HERE + r"((?:\.\w+)*)")
 class Key:
     """Annotation of a key.
 
-    The object reads the value of the key with `read`, and describes the key in the reference page and the JSON schema.
+    The method `read` reads the value of the key. The attributes describe the key in the reference page and the JSON schema.
 
     Attributes:
         unit: unit of the value; empty for a value without a unit.
@@ -311,7 +311,7 @@ class ReadBy(Key):
 
 
 def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Reads a value inside the value of a key. Messages also contain the place of the inner value, `.NAME` or `[INDEX]`."""
+    """Reads one part of the value of a key. Messages also contain the place of this part, as `.NAME` or `[INDEX]`."""
     try:
         return key.read(value, context)
     except InputError as error:
@@ -401,7 +401,9 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Adds section and key to the message of an InputError, instead of `HERE` or, without `HERE`, at the beginning."""
+    """Adds section and key to the message of an InputError: in place of `HERE` if the message contains it, otherwise at the
+    beginning.
+    """
     try:
         yield
     except InputError as error:

@@ -115,7 +115,7 @@ class NumberTable:
     def _heading_cells(self, line: str) -> list[str]:
         """Returns the cells of a line above the numbers; empty if the number of cells is wrong.
 
-        The separator may differ from the separator of the numbers.
+        This line may have another separator than the lines of numbers.
         """
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
@@ -139,12 +139,12 @@ class NumberTable:
         Args:
             columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last column, are
                 ignored.
-            ragged: True if numbers may follow the last column.
+            ragged: True if a line may contain additional numbers after the last column.
             gaps: True if cells may be missing, as in `MISSING`; they become NaN.
 
         Raises:
-            InputError: a cell is not a finite number, a line has another number of cells, or decimal and thousands marks are
-                ambiguous.
+            InputError: a cell is not a finite number, a line does not have as many cells as the first line of numbers, or
+                decimal and thousands marks are ambiguous.
         """
         used = columns or range(self.count)
         lines, values, marked, integers, thousands = array("Q"), array("d"), dict[str, str](), False, True
@@ -211,7 +211,7 @@ class NumberTable:
             known: quantities that are allowed for columns.
 
         Raises:
-            InputError: a column has another quantity; or any error of `headings`, `Heading.scale` and `numbers`.
+            InputError: a column has another quantity, or `headings`, `Heading.scale` or `numbers` raises this error.
         """
         headings = self.headings([QUANTITIES[name].si for name in known])
         for heading in headings:
@@ -358,7 +358,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
 
 def _split(line: str, separator: str) -> tuple[str, list[str]]:
-    """Returns the separator of a line, which is detected by default, and the cells without comments."""
+    """Returns the separator of a line, and the cells without comments. If `separator` is empty, the separator is detected."""
     numbers = _without_comment(line)
     marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
     splits = {mark: _trim_cells(_cells(numbers, mark)) for mark in marks}

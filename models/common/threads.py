@@ -23,7 +23,7 @@ def _libraries() -> ThreadpoolController:
 
 
 class _Limit:
-    """Limits the process to one BLAS thread, from when the first block is entered until the last block is left."""
+    """Limits the process to one BLAS thread, from the time when the first block is entered until the last block is left."""
 
     def __init__(self) -> None:
         self._lock, self._within = threading.Lock(), 0
@@ -81,7 +81,7 @@ def side_by_side(
     Args:
         pieces: pieces of work. Long pieces should come first, so that all threads end at about the same time.
         threads: number of threads.
-        abandon: function that is called if the work is abandoned, and ends whatever the running pieces wait for.
+        abandon: function that is called if the work is abandoned; it must end whatever the running pieces wait for.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:

@@ -15,12 +15,12 @@ from models.common.files import parse_toml
 
 @dataclass(frozen=True)
 class Replacement:
-    """Keys with values that replace one key in a TOML text.
+    """Replacement of one key in a TOML text by several keys with values.
 
     Attributes:
         path: names of the sections that contain the key, from the outermost, and the name of the key itself.
         values: the new keys with their values.
-        comment: comment on the line above; empty for no comment.
+        comment: comment on the line above the new keys; empty for no comment.
         files: paths of the files from which the values were read.
     """
 
@@ -83,7 +83,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
     Args:
         body: body of the document or of a table.
         path: names of the sections of the key, and of the key itself.
-        line: place of the item whose line contains this whole body; None for a body with separate lines.
+        line: place of the item whose line contains the whole body; None for a body whose items are on lines of their own.
 
     Returns:
         Two places, each as a body and an index: the item of the key, and the item on whose line the key is.

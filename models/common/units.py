@@ -99,7 +99,7 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
     """Converts a text that contains a number with a unit, as `quantity` does. Returns any other text or value unchanged.
 
     Raises:
-        InputError: an error of `quantity`, or a number in quotes without a unit.
+        InputError: `quantity` raises this error, or a number in quotes has no unit.
     """
     match = QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if match is None and not (isinstance(value, str) and COMMA.match(value)):

@@ -1,1 +1,1 @@
-"""Results as documents, and figures as data. Figures are drawn by matplotlib, or by a page as SVG."""
+"""Results as documents, and figures as data. Figures are drawn by matplotlib, as picture files and as SVG in pages."""

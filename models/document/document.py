@@ -50,7 +50,7 @@ class Pivot:
         rows: headings of the columns whose values form the name of a row. The cell of a column `unit` is added to the name in
             brackets.
         across: heading of the column whose values become columns.
-        values: headings of the numbers that are shown.
+        values: headings of the columns whose numbers are shown.
     """
 
     rows: tuple[str, ...]

@@ -23,7 +23,7 @@ class Field(Generic[Of]):
 
     Attributes:
         label: name of the quantity.
-        value: function of a result that returns a text, or a number in SI units.
+        value: function that takes a result and returns a text, or a number in SI units.
         form: format of a number, or a function that formats it.
         scale: factor from SI units to `unit`.
         key: key in JSON, for the value in SI units; empty to omit the quantity in JSON.
@@ -62,7 +62,7 @@ class Field(Generic[Of]):
         return f"{self.digits(value)} {self.unit}".rstrip()
 
     def of(self, get: Callable[[T], Of | None], label: str = "") -> "Field[T]":
-        """Returns the field for objects that contain a result of this type.
+        """Returns a field with the same quantity for objects that contain a result of this type.
 
         Args:
             get: function that returns the result in an object, or None for an object without a result.
@@ -108,7 +108,8 @@ class Record(Generic[T]):
 
         Args:
             parts: fields, names of attributes, records or functions that give the values. Fields without a key are omitted. The
-                name of an attribute is also its key. The keys of records and functions become keys of this object.
+                name of an attribute is also its key. The keys in the objects that records and functions return become keys of
+                this object.
             values: further values, after these parts: fields, functions, or names of attributes, such as "certificate.norm".
         """
         keyed = [
@@ -124,7 +125,7 @@ class Record(Generic[T]):
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a value for another record, which then contains objects of this record.
+        """Returns a function for use as a value in an outer record, which then contains objects of this record.
 
         Args:
             get: field, function or attribute that gives one result, or a list, tuple or mapping of results.
@@ -144,7 +145,7 @@ OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
-    """Returns a value for a record; if the value is None or empty, the record omits the key."""
+    """Returns a function for use as a value in a record; if its result is None or empty, the record omits the key."""
 
     def value(one: T) -> Any:
         found = get(one)

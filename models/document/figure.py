@@ -241,7 +241,7 @@ class Entry(NamedTuple):
 def legend(figure: Figure) -> list[Entry]:
     """Returns one legend entry per label.
 
-    The classes of a panel come before its curves. A line and points with the same label share an entry.
+    In the legend, the classes of a panel come before its curves. A line and points with the same label share an entry.
     """
     entries: dict[str, Entry] = {}
     for panel in figure.panels:

@@ -1,4 +1,4 @@
-"""Figure of a gain over frequency, which notebooks show below a loop."""
+"""Figure of a gain over frequency, which a notebook shows below the text about a control loop."""
 
 from collections.abc import Mapping
 

@@ -74,7 +74,9 @@ class Page:
 
     @property
     def state(self) -> State:
-        """The verdict on the agreement of simulation and analysis: all claims hold, some end early, or some fail."""
+        """The verdict on the agreement of simulation and analysis: all claims hold, some hold only up to some point, or some
+        fail.
+        """
         return worst([*self.answer, Statement("", "holds")])
 
     @property
@@ -141,7 +143,7 @@ def fragment(document: Document) -> str:
 
 
 def _environment(number: Callable[[str], str]) -> Any:
-    """Returns the templates, with the functions that they call.
+    """Returns the Jinja2 templates of the page, together with the functions that these templates call.
 
     Args:
         number: function that returns the label of the next "Table" or "Figure".
@@ -170,7 +172,7 @@ def _kind(block: Block) -> str:
 
 
 def _split_statements(section: Document) -> tuple[list[Statement], list[Statement]]:
-    """Returns the statements of a section that are shown, and the statements that are folded."""
+    """Returns the statements of a section that are always visible, and the statements that the page collapses."""
     texts = [block for block in section.blocks if isinstance(block, Statement)]
     shown = [
         one for i, one in enumerate(texts) if one.state != "note" or one.detail == "brief" or (i < BRIEF and one.detail != "full")

@@ -109,7 +109,7 @@ class _Sheet:
             self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
 
     def write_lines(self, x: float, y: float, lines: Sequence[tuple[str, str]]) -> None:
-        """Writes lines of text with their weights. The baseline of the first line is at y."""
+        """Writes lines of text with their font weights. The baseline of the first line is at y."""
         for k, (line, weight) in enumerate(lines):
             self.write(x, y + LINE * k, line, weight=weight)
 
@@ -190,7 +190,7 @@ def _whole(figure: Figure) -> _Sheet:
 
 
 def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
-    """Returns the lines of paragraphs with their weights. The first paragraph is bold."""
+    """Returns the lines of paragraphs with their font weights. The first paragraph is bold."""
     bold = [(line, "bold") for line in wrap_at_spaces(notation(first), room / BOLD, FONT)]
     return bold + [(line, "normal") for text in others for line in wrap_at_spaces(notation(text), room, FONT)]
 
@@ -247,7 +247,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
 
 
 def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
-    """Draws bars. The name and the text of each bar are above it."""
+    """Draws bars. The name and the text of each bar are above the bar."""
     from matplotlib.patches import Rectangle
 
     width = BARS - 16
@@ -339,7 +339,7 @@ def _places(axis: Any, values: Sequence[float], which: Literal[0, 1]) -> list[fl
 
 
 def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, width: float) -> None:
-    """Writes the name of each span at its middle."""
+    """Writes the name of each shaded interval at its middle."""
     low, high = axis.get_xlim()
     for ends, name in zip(spans.ends, spans.names, strict=True):
         first, last = _places(axis, [min(max(end, low), high) for end in ends], 0)
@@ -401,7 +401,7 @@ def _inside(sheet: _Sheet) -> str:
 
 
 def _clean(element: str) -> str:
-    """Returns an element without its content, with presentation attributes, and with `MARK` in front of identifiers."""
+    """Returns the tag of an element with presentation attributes instead of a style, and with `MARK` in front of identifiers."""
     element = STYLE.sub(lambda style: _as_attributes(style[1]), element)
     element = re.sub(r"(\.\d\d)\d+", r"\1", element).replace("#000000", "currentColor").replace("xlink:href", "href")
     return re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", element)
@@ -409,6 +409,6 @@ def _clean(element: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _as_attributes(style: str) -> str:
-    """Returns a style as presentation attributes, without its font, because the page chooses the font."""
+    """Returns a CSS style as presentation attributes, but without the font, which the page chooses."""
     pairs = (part.split(": ", 1) for part in style.split("; "))
     return "".join(f' {name}="{value}"' for name, value in pairs if not name.startswith("font"))

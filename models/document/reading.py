@@ -41,7 +41,7 @@ class Reading:
         words: number of left-aligned columns.
         same: columns whose cells are equal in all rows, as `heading: value`.
         notes: repeated remarks, with their footnote marks.
-        folded: True if the table is long.
+        folded: True if the table is so long that a page collapses it.
     """
 
     headings: tuple[str, ...]

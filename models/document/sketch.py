@@ -94,7 +94,7 @@ class Sketch:
     Attributes:
         title: title of the sketch.
         views: views from top to bottom.
-        rows: symbol, meaning and value of each part that is drawn or exists. A symbol may be empty.
+        rows: symbol, meaning and value of each part of the vehicle, including parts that are not drawn. A symbol may be empty.
     """
 
     title: str

@@ -68,9 +68,9 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
     """Returns the lines of a table for a terminal.
 
-    If the table is too wide, headings are wrapped, and headings of columns with changes are shortened to "%". If several rows
-    have the same name, the name is on a separate line above these rows, which are indented. If the last column is `NOTE`, its
-    remarks are to the right of their rows or below them.
+    If the table is too wide, headings are wrapped, and headings of columns with relative changes are shortened to "%". If
+    several rows have the same name, the name is on a separate line above these rows, which are indented. If the last column is
+    `NOTE`, its remarks are to the right of their rows or below them.
     """
     columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
     remarks: Sequence[str] = ()
@@ -104,7 +104,7 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
 
 
 def _align_column(column: Sequence[str]) -> list[str]:
-    """Returns a column of numbers that are aligned even if some of them have the mark of the best number."""
+    """Returns a column of numbers that are aligned even if the best numbers have a mark."""
     heading, *numbers = column
     marked = any(cell.endswith(BEST) for cell in numbers)
     return [heading, *(f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers)]
@@ -161,5 +161,5 @@ class ShownResult:
 
 
 def facts(title: str, rows: Mapping[str, str]) -> Document:
-    """Returns a document with a line for each fact, by name. Empty facts are omitted."""
+    """Returns a document with a line `name: text` for each fact. Empty facts are omitted."""
     return Document(title, notes(*(f"{name}: {text}" for name, text in rows.items() if text), detail="brief"))

@@ -55,14 +55,14 @@ class RoadChoice:
 
     @property
     def profile(self) -> Profile | None:
-        """The profile of a file with a table; None for other roads."""
+        """The measured profile if the road was read from a table in a file; None for other roads."""
         return self.road if isinstance(self.road, Profile) else None
 
     def build(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
         """Returns the road for a vehicle.
 
         Args:
-            vehicle: the vehicle, whose track width a road with two tracks needs.
+            vehicle: the vehicle; a road with two tracks needs its track width.
             speed: vehicle speed [m/s].
             seed: seed of a random road.
             distance: driven distance [m], over which a random road does not repeat.
@@ -95,7 +95,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
         The chosen road. The method `build` of the result returns a `Road` for a vehicle, a speed, a seed and a distance.
 
     Raises:
-        InputError: a name of a road or number is unknown, a value is not allowed, or a file is not a profile.
+        InputError: the name of a road or of a number is unknown, a value is not allowed, or a file is not a profile.
 
     Example:
         >>> from models import choose_road, read_vehicle

@@ -44,11 +44,11 @@ def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
 
 
 def described_road(description: Mapping[str, Any], points: bytes | None = None) -> Road:
-    """Returns the road of a description. This is the inverse of `Road.describe`.
+    """Returns the road that a description specifies. This is the inverse of `Road.describe`.
 
     Args:
         description: result of `Road.describe`, possibly after conversion to JSON and back.
-        points: the `points` of a profile or rig; None for other roads.
+        points: text `Road.points` of a profile or rig; None for other roads.
 
     Raises:
         InputError: the description does not belong to a road, or is not complete.

@@ -1,4 +1,4 @@
-"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or on average.
+"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or the mean over random roads.
 
 Source: M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile",
 Transportation Research Record 1501, 1-12; ASTM E1926. The golden car, a quarter-car with fixed parameters, drives at 80 km/h
@@ -9,7 +9,7 @@ over 250 mm, so the slope is constant between samples:
 
 The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of the car's
 suspension, |z_s' - z_u'| / V. For slopes that are constant between samples, the state transition is exact. The transition is
-computed in the modes of the car.
+computed in the modal coordinates of the car.
 
 A profile with evenly spaced points is used unchanged; any other road is sampled every 25 mm. A vehicle with two tracks has an
 IRI for each track, `left` and `right`. The value `mean` is the mean of both tracks' IRIs (MRI). The value `half_car` is the IRI
@@ -17,8 +17,8 @@ of the mean of both profiles (HRI), which does not contain the warp of the road.
 "The little book of profiling", UMTRI.
 
 On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. If rho is the correlation
-of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This covariance gives
-the standard deviation of the IRI over a distance among random roads.
+of the responses y and y' at two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This covariance
+determines by how much the IRI over a distance differs between random roads (its standard deviation).
 """
 
 import math
@@ -96,9 +96,10 @@ def slope_response(n: Array, step: float) -> Array:
 
 
 def missing(lines: Array, variances: Array) -> Array:
-    """Returns by how much the rms of `suspension_slopes` is too small after the start, accumulated over the distance.
+    """Returns the deficit of the rms of `suspension_slopes` after the start: how much it is below its final value, accumulated
+    over the distance.
 
-    This deficit is relative to the final rms, and is given every 250 mm. The response to a sinusoid is the steady-state
+    The deficit is relative to the final value, and is given every 250 mm. The response to a sinusoid is the steady-state
     response plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum of the products of
     steady-state response and transient over all sinusoids is a Fourier transform.
 
@@ -140,10 +141,10 @@ def _samples(step: float) -> int:
 
 @lru_cache(maxsize=16)
 def _modes(step: float) -> tuple[Array, Array, Array]:
-    """Returns the modes of the car from sample to sample.
+    """Returns the modes of the car for samples with the distance `step`.
 
     Returns:
-        Rates of the modes, and the factors of the modes in the responses to a slope and to the start.
+        Rate of each mode per sample, and the factors of the mode in the response to a slope and in the response to the start.
     """
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
@@ -185,7 +186,7 @@ LINES = 8192
 
 @dataclass(frozen=True)
 class Roughness:
-    """An IRI of a road.
+    """The IRI of one track of a road, or of both tracks together.
 
     Attributes:
         name: name of the track, `left` or `right`; or `mean` or `half_car` for both tracks.
@@ -276,12 +277,13 @@ def _sample_tracks(road: Road, distance: float, sides: tuple[str, ...]) -> tuple
 
 @lru_cache(maxsize=16)
 def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Returns mean and standard deviation of the named IRIs over all roads with a spectrum, for a driven distance [m].
+    """Returns mean and standard deviation of the named IRIs over all roads that have the given spectrum, for a driven distance
+    [m].
 
-    Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. The
-    remaining share of the variance is 0 on the left track, and 2 a^2 (1 - a^2) on the right track, where a is the coherency of
-    the tracks. This knowledge reduces the term with rho^2 in cov(|y|, |y'|), which depends only on y^2. The terms with higher
-    powers of rho remain, because they differ between roads.
+    Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. On
+    the left track, this mean square is the same for all roads. On the right track, the share 2 a^2 (1 - a^2) of a sinusoid's
+    mean square varies, where a is the coherency of the tracks. The known share reduces the term with rho^2 in cov(|y|, |y'|),
+    which depends only on y^2. The terms with higher powers of rho remain, because they differ between roads.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)
@@ -297,11 +299,11 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     weight[0] /= 2
 
     def moments(own: Array, other: Array, free: Array) -> tuple[float, float]:
-        """Returns the mean and the standard deviation of the mean of the magnitudes of two signals.
+        """Returns mean and standard deviation, among random roads, of the mean IRI of two responses of the car.
 
         Args:
-            own: spectrum of the first signal.
-            other: spectrum of the second signal.
+            own: spectrum of each response; both responses have the same spectrum.
+            other: cross-spectrum of the two responses; `own` for a single response.
             free: share of each sinusoid's mean square that varies between roads.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
@@ -327,9 +329,9 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
 
 
 def _start_distance(low: float, high: float, distance: float) -> float:
-    """Returns the effect of the start as a distance [m]: the start reduces the mean as if this distance were missing.
+    """Returns the effect of the start as a distance [m]: the start reduces the mean IRI as if this distance were missing.
 
-    The result is exact for white slopes, and approximate for the mean of two tracks.
+    The result is exact if the slope is white noise, and approximate for the mean of two tracks.
     """
     ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])

@@ -6,11 +6,11 @@ The vertical displacement of a road has the one-sided power spectral density
 
 These values are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit
 between A and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) itself or the International Roughness Index
-(IRI) may be given. An IRI means the G_d(n0) of roads with this mean IRI.
+(IRI) may be given. If the IRI is given, G_d(n0) is that of roads with this mean IRI.
 
-A road is a sum of sinusoids n_k = k / length with the amplitudes sqrt(2 G_d(n_k) / length) and random phases. By default, the
-band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Below the band, the road would have hills. Above the
-band, waves are shorter than the contact patch of a tyre and do not reach the wheel. The road repeats after `length`.
+A road is a sum of sinusoids with the frequencies n_k = k / length, the amplitudes sqrt(2 G_d(n_k) / length) and random phases.
+By default, the band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Sinusoids below the band would be hills.
+Above the band, waves are shorter than the contact patch of a tyre and do not reach the wheel. The road repeats after `length`.
 
 The standard does not define the coherence of two tracks. This module uses the coherence of an isotropic surface, which the
 spectrum of one track determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D.
@@ -86,8 +86,8 @@ class Iso8608(Section, Road):
 
     The same seed and length give the same road on every machine, except for rounding errors of the sines. The phases are the
     raw output of the Philox generator, which NumPy does not change between versions. At time 0, the first wheel reaches the
-    road. The flat ground before the road has the same height as the beginning of the road. At this time, the road velocity
-    jumps, as for a vehicle that starts in equilibrium and then meets white noise.
+    road. The flat ground before the road has the same height as the beginning of the road. At time 0, the road velocity jumps,
+    as for a vehicle that starts in equilibrium and then meets white noise.
 
     Raises:
         InputError: the class is unknown, the band contains too few sinusoids, or another number is out of its range. The error
@@ -289,7 +289,7 @@ def _coherency_of_lines(length: float, lowest: float, highest: float, width: flo
 
 @lru_cache(maxsize=16)
 def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, count: int) -> Array:
-    """Returns the sum at evenly spaced times, shape (T,).
+    """Returns the sum of the sinusoids, or of their derivatives, at evenly spaced times, shape (T,).
 
     The sum is cached, because simulation and analysis need it many times.
     """

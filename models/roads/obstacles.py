@@ -47,7 +47,7 @@ class WattsHump(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the arc [m], equal on both sides."""
+        """Returns the height of the arc [m], which is equal for left and right wheels."""
         x, on = self._from_crown(t)
         return np.where(on, np.sqrt(self.radius**2 - x**2) - (self.radius - self.height), 0.0)
 
@@ -103,7 +103,7 @@ class Step(Obstacle):
         return self.start + self.rise
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the edge and then of the step [m], equal on both sides."""
+        """Returns the height of the edge and then of the step [m], which is equal for left and right wheels."""
         if not self.edge:
             return np.where(np.asarray(t) > self.start + AT_ONCE, self.height, 0.0)
         return self.height / 2 * (1 - np.cos(np.pi * np.clip((t - self.start) / self.rise, 0, 1)))
@@ -125,7 +125,7 @@ class Step(Obstacle):
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns height, edge, speed, and the start unless it is 0."""
+        """Returns the height, edge and speed, and also the start if it is not 0."""
         return {"type": "step", **{name: value for name, value in asdict(self).items() if name != "start" or value}}
 
 
@@ -155,7 +155,7 @@ class Pothole(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of both steps [m]."""
+        """Returns the height of the road [m], the sum of both steps."""
         down, up = self._edges
         return self._under(side) * (down.displacement(t) + up.displacement(t - self.duration + up.duration))
 

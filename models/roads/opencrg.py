@@ -103,7 +103,7 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
     """Raises InputError if the file is incomplete. PyOpenCRG may read such a file as a shorter or stretched road.
 
     Args:
-        header: text with the entries, and with the channels that do not contain data.
+        header: text of the header: its entries, and the definitions of channels whose values are not in the data.
         u: distance of each cross-section [m].
         width: number of characters per number; 0 for binary files.
         channels: number of values per cross-section.

@@ -175,7 +175,8 @@ class Profile(MeasuredRoad):
         return replace(self, distance=distance, heights=heights)
 
     def turned(self, length: float) -> "Profile | None":
-        """Returns the beginning of the profile, rotated by half a turn about the first point, so that it ends there.
+        """Returns the beginning of the profile, rotated by half a turn about the first point, so that the result ends at this
+        point.
 
         Args:
             length: length of the beginning [m].
@@ -235,7 +236,7 @@ class Profile(MeasuredRoad):
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:
-    """Returns the points of a road after a distance, with an interpolated point at this distance.
+    """Returns the points of a road after a distance, preceded by an interpolated point at this distance.
 
     Args:
         start: distance at which the road starts [m].
@@ -311,7 +312,7 @@ def check_ascending(
 
 
 def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
-    """Returns the profile whose text is `Profile.points`, with exact numbers.
+    """Returns the profile that a text from `Profile.points` contains, with exact numbers.
 
     Raises:
         InputError: the content is not valid.

@@ -1,10 +1,11 @@
 """Measured roads from files: columns of distance and height in many formats, or heights at a constant step.
 
-ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use it to exchange profiles.
-An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
+ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use ERD files to exchange
+profiles. An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
 
 RDF files contain roads for tyre models in Adams and MotionView. RDF files of the type `poly_line` have a table of the distance
-and of the heights of the left and right track. Vehicles start at distance 0, which need not be the beginning of the table.
+and of the heights of the left and right track. On these roads, vehicles start at distance 0, which is not always the first
+distance in the table.
 
 Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance is
 the length of the path in the horizontal plane. Steps in degrees are converted to metres with the radii of curvature of the
@@ -170,7 +171,7 @@ def choose_columns(
     The columns are found by their headings or, if there are no headings, by their order.
 
     Args:
-        table: table of the file, in which the columns are.
+        table: table of numbers in the file, which contains the columns.
         headings: headings of all columns.
         wanted: the requested columns, counted from 0; empty if no columns are requested.
         stepped: True if the rows have a constant step, so that there is no column of distance.
@@ -263,7 +264,7 @@ def rdf_text(text: str) -> str:
 def _coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
     """Returns the columns of two horizontal coordinates, east and north, counted from 0.
 
-    The result is empty if the table does not contain these columns, or no column of height.
+    The result is empty if the table lacks one of these columns or has no column of height.
     """
     if len(wanted) == 2 or not (wanted or {"height", "left", "right"} & {one.quantity for one in headings}):
         return []
@@ -282,7 +283,7 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
     """Returns the length of a path up to each point [m], shape (P,), and a warning.
 
     Args:
-        table: table of the file, in which the columns are.
+        table: table of numbers in the file, which contains the columns.
         headings: headings of the east and north coordinates.
         option: name of the option that gives the unit of lengths without a unit.
         ragged: True if rows may have different numbers of cells.

@@ -26,15 +26,15 @@ STROKE = 2.0  # largest distance that a post may move from its first height [m]
 class Rig(MeasuredRoad):
     """Posts of a test rig: a cubic spline through the heights of every post over time, with its exact time derivative.
 
-    Before its first point, a post stays at its first height; after its last point, it stays at its last height. Slopes are zero
-    at both ends. The vehicle does not move forward, so all wheels are independent and the speed has no effect. The vehicle
-    starts in equilibrium on the first heights, whose mean is the datum.
+    Before its first point, a post stays at its first height; after its last point, it stays at its last height. At both ends,
+    the slope of the spline is zero. The vehicle does not move forward, so all wheels are independent and the speed has no
+    effect. The vehicle starts in equilibrium on the first heights, whose mean is the datum.
 
     Attributes:
         time: times of the points [s], ascending, shape (P,).
         heights: heights of the K posts [m], shape (P, K).
-        posts: names of the wheels on the K posts. A name is the road signal, the MJCF body of the road, or the suffix of this
-            signal or body.
+        posts: names of the wheels on the K posts. A name is that of the wheel's road signal or of the road's body in MJCF, or
+            the suffix of one of these names.
         source: name of the file.
 
     Raises:
@@ -79,7 +79,7 @@ class Rig(MeasuredRoad):
         return 0.0
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the first height of a post [m] and the rate 0; without a name, for the first post."""
+        """Returns the first height of a post [m] and the rate of change 0; an empty name means the first post."""
         first = self.heights[0]
         return float(first[self._index(side)] - first.mean()), 0.0
 
@@ -201,7 +201,7 @@ def check_posts(posts: Sequence[str]) -> None:
 
 
 def rig_from_csv(content: bytes, source: str) -> Rig:
-    """Returns the rig whose text is `Rig.points`, with exact numbers.
+    """Returns the rig that a text from `Rig.points` contains, with exact numbers.
 
     Raises:
         InputError: the content is not valid.

@@ -150,8 +150,8 @@ class Road(ABC):
     def jumps(self) -> tuple[tuple[float, float], ...]:
         """Times [s] at which the height jumps, each with the change of height [m].
 
-        At the time of a jump, the road still has its earlier height. The method `velocity` does not include jumps, but `kinks`
-        includes their times.
+        At the time of a jump, the road still has the height before the jump. The method `velocity` does not include jumps, but
+        `kinks` includes their times.
         """
         return ()
 
@@ -226,7 +226,7 @@ class Obstacle(Section, Road):
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump of the paper's (61): one period of a cosine. The default values are those of (62).
+    """Isolated bump, equation (61) of the paper: one period of a cosine. The default values are those of equation (62).
 
     Raises:
         InputError: a number is out of its range, or has a unit of another dimension.
@@ -264,10 +264,10 @@ class Bump(Obstacle):
 
 @dataclass(frozen=True, eq=False)
 class DerivedRoad(Road):
-    """Road that is derived from another road, with the same speed, track, duration and kinks.
+    """Road that is derived from an original road, with the same speed, track, duration and kinks.
 
     Attributes:
-        road: road from which this road is derived.
+        road: original road, from which this road is derived.
     """
 
     road: Road
@@ -292,7 +292,7 @@ class MeasuredRoad(Road):
 
     @abstractmethod
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on a side."""
+        """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on one side of the vehicle."""
 
     @abstractmethod
     def departure(self, t: Array, side: str = "") -> Array:
@@ -356,7 +356,7 @@ class Departure(DerivedRoad):
 
 @dataclass(frozen=True)
 class ScaledRoad(DerivedRoad):
-    """Road with multiplied heights.
+    """Road whose heights are multiplied by a factor.
 
     Attributes:
         factor: factor on the heights.
@@ -366,11 +366,11 @@ class ScaledRoad(DerivedRoad):
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Jumps of the other road, multiplied by the factor."""
+        """Height jumps of the original road, multiplied by the factor."""
         return tuple((time, self.factor * height) for time, height in self.road.jumps)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height of the other road, multiplied by the factor [m]."""
+        """Returns the height of the original road, multiplied by the factor [m]."""
         return self.factor * self.road.displacement(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
@@ -378,11 +378,11 @@ class ScaledRoad(DerivedRoad):
         return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the velocity of the other road, multiplied by the factor [m/s]."""
+        """Returns the velocity of the original road, multiplied by the factor [m/s]."""
         return self.factor * self.road.velocity(t, side)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the description of the other road, extended by the factor."""
+        """Returns the description of the original road, extended by the factor."""
         return {**self.road.describe(), "factor": self.factor}
 
     def scaled(self, factor: float) -> "ScaledRoad":
@@ -404,7 +404,7 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
     start, end = t - length / 2, t + length / 2
 
     def area(a: Array, b: Array) -> Array:
-        """Returns integrals from a to b, by Gauss quadrature with two points."""
+        """Returns the integrals of the function from a to b, by Gauss quadrature with two points."""
         middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
         return (b - a) / 2 * (function(middle - apart) + function(middle + apart))
 
@@ -457,7 +457,8 @@ class Edge(NamedTuple):
     """Vertical edge of the road near a sample.
 
     Attributes:
-        change: change of the heights under the r wheels from this side of the edge to the other side [m], shape (r,).
+        change: change of the heights under the r wheels from the sample's side of the edge to the opposite side [m], shape
+            (r,).
         behind: True if, at the sample, the wheels are already behind the edge.
     """
 
@@ -506,7 +507,7 @@ class RoadInput:
         return self.road.from_start
 
     def steady_signals(self, time: Array) -> Array | None:
-        """Returns the vehicle's signals in the steady motion, from its linear model.
+        """Returns the vehicle's signals in the steady motion, computed from the linear model.
 
         The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero with
         two exceptions: posts can warp the vehicle, and the weight of an inclined body with a roll or pitch axis has a moment.
@@ -565,7 +566,7 @@ class RoadInput:
 
     @cached_property
     def held_velocities(self) -> Array:
-        """Mean rates of the heights over the steps that begin at the samples [m/s], shape (T, r).
+        """Mean rates of change of the heights over the time steps that begin at the samples [m/s], shape (T, r).
 
         MuJoCo holds these velocities over the steps.
 
@@ -577,7 +578,7 @@ class RoadInput:
 
     @cached_property
     def held_inputs(self) -> Array:
-        """All inputs that are held over the steps: loads, and road velocities if tyres have damping.
+        """All inputs held constant over time steps: loads, and road velocities if tyres have damping.
 
         The shape is (T, l), or (T, l + r) with tyre damping.
         """
@@ -592,17 +593,19 @@ class RoadInput:
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs that act on the measurements before new forces act: present loads, and road velocities before the samples."""
+        """Inputs that act on each sample's measurements, before new forces act: present loads, and road velocities before the
+        sample.
+        """
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
     def vertical_edges(self, held: bool = True) -> dict[int, Edge]:
-        """Returns the vertical edges of the road, by number of the sample.
+        """Returns the vertical edges of the road, by the number of the sample at which each edge acts.
 
         Args:
             held: True for the road that MuJoCo holds over steps. An edge in the first half of a step acts at the beginning of
                 the step. An edge in the second half acts at the end, where the sample already has the height behind the edge.
-                False to return the last samples before the edges.
+                False to assign each edge to the last sample before it.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
@@ -614,7 +617,7 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns the heights under the wheels at the given number of samples after the last sample [m], shape (count, r)."""
+        """Returns the heights under the wheels at `count` additional samples after the last one [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 

@@ -47,7 +47,7 @@ class Multisine(Section, Road):
         return {"lowest": "rad/s", "highest": "rad/s", "rms": "m", "speed": "m/s"}
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the sum [m], equal on both sides."""
+        """Returns the sum of the sinusoids [m], which is equal for left and right wheels."""
         start = float(np.dot(self.amplitudes, np.sin(self.phases)))
         return np.where(t >= 0, self._sum(t, np.asarray(self.amplitudes), 0.0) - start, 0.0)
 
@@ -154,7 +154,7 @@ class Sine(Obstacle):
     start: Start = 0.0
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height [m], equal on both sides."""
+        """Returns the height [m], which is equal for left and right wheels."""
         begins = math.sin(math.radians(self.phase))
         return np.where(t >= self.start, self.amplitude * (np.sin(self._angle(t)) - begins), 0.0)
 
@@ -196,7 +196,7 @@ class SineSweep(Obstacle):
         SI("Hz", low=self.lowest * 1.001, high=100.0).number("sweep highest", self.highest)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height [m], equal on both sides. After the sweep, the height keeps its last value."""
+        """Returns the height [m], which is equal for left and right wheels. After the sweep, the height keeps its last value."""
         t = np.clip(t, 0.0, self.duration)
         return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
 

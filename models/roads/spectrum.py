@@ -92,7 +92,9 @@ def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
 
 
 def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """Returns the road under every wheel from two independent sources, including the delays of the wheels, shape (F, r, 2)."""
+    """Returns the shares of two independent random sources in the road velocity under every wheel, with the wheel's delay,
+    shape (F, r, 2).
+    """
     return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 

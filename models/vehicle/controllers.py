@@ -117,7 +117,7 @@ class ControllerEntry:
     def parts(self) -> dict[str, str]:
         """The source and the options of the controller, with keys and values as in a vehicle file.
 
-        Each of these is a row in the table of options that can be combined.
+        Each key is also a row in the table that shows which options can be combined.
         """
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
@@ -277,7 +277,7 @@ def read_controllers(
         kind: vehicle type.
         folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
         sampled: default of the key `sampled` in a controller's section.
-        dampers: suffix of the signal names at the suspension of each semi-active damper, by force.
+        dampers: suffix of the signal names at the suspension of each semi-active damper, by name of the damper's control force.
     """
     controllers: dict[str, ControllerEntry] = {}
     facts: dict[str, Any] = {
@@ -327,7 +327,7 @@ def _entry(
 ) -> ControllerEntry:
     """Returns the controller that a section describes.
 
-    `read_controllers` then checks it together with other entries of the file.
+    `read_controllers` then checks the controller together with other entries of the file.
     """
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)

@@ -36,7 +36,8 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
         The complete text, and the paths of the other files.
 
     Raises:
-        InputError: the text is not TOML, or a file is missing or has invalid contents. The message gives the file.
+        InputError: the text is not TOML, or a file is missing or has invalid contents. The message contains the name of the
+            file.
     """
     data = parse_toml(text)
     replacements = [*_families(data, folder), *_laws(data, folder), *curve_tables(data, folder)]
@@ -79,7 +80,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
 
 
 def _entries(data: Mapping[str, Any], key: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yields the name and the section of each controller that has a key.
+    """Yields the name and the section of each controller whose section contains a given key.
 
     Values that are not sections are skipped, because other readers refuse them.
     """

@@ -1,4 +1,4 @@
-"""Controllers and weights with an integrator: checks of the options that they can be combined with."""
+"""Controllers and weights with an integrator: checks of the options with which they can be combined."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ SAMPLED_REFUSAL = "a sampled controller drives only the sum of its samples to ze
 def check_integrals(
     entry: ControllerEntry, integrals: Mapping[str, Mapping[str, float]], heard: Mapping[str, float], sampled: bool
 ) -> None:
-    """Checks that every integral in z has a finite norm, and that the designed law has a state for it.
+    """Checks that every integral in z has a finite norm, and that the designed law has a state for each of these integrals.
 
     Args:
         entry: controller to check.

@@ -79,7 +79,7 @@ class Limits(LimitsSection):
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
     def stops_at(self, corner: str) -> "BumpAndRebound | None":
-        """Returns the bump stops of a corner, or None if it has no stops."""
+        """Returns the bump stops of a corner, or None if the corner has no stops."""
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
@@ -111,7 +111,7 @@ class Limits(LimitsSection):
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
-        """The keys of `[limits]` that are given and limit actuators."""
+        """The keys of `[limits]` that the vehicle file contains and that limit actuators."""
         keys = ("actuator_force", "actuator_bandwidth", "force_rate", "limit")
         return tuple(name for name in keys if getattr(self, name) is not None)
 
@@ -191,7 +191,7 @@ class CommandLimiter:
     change: Array
 
     def __call__(self, requested: Array, last: Array) -> Array:
-        """Returns the commands of a sample.
+        """Returns the commands of a sample: the requested forces within the limits [N].
 
         Args:
             requested: requested forces [N], shape (N, m).
@@ -205,7 +205,7 @@ def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter 
     """Returns the limiter for the commands of N vehicles; None if none of the vehicles has a rate limit.
 
     Args:
-        vehicles: the vehicles. If any of them has a rate limit, none may have semi-active dampers.
+        vehicles: the vehicles. If any of these vehicles has a rate limit, none may have semi-active dampers.
         timestep: sample period of controllers that do not define one [s].
     """
     if all(vehicle.limits.force_rate is None for vehicle in vehicles):
@@ -279,7 +279,7 @@ class Implementation(Section):
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """Returns the implementation for signals, noise and resolution that are all multiplied by a factor."""
+        """Returns the implementation with noise and quantisation multiplied by the same factor as the signals."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 

@@ -204,10 +204,10 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     Args:
         vehicle: vehicle whose model is built.
         timestep: integration step [s].
-        drawn: False to omit visual parts. Without them, a step gives the same numbers, but takes about 5 % less time.
+        drawn: False to omit visual parts. Without visual parts, a step gives the same numbers, but takes about 5 % less time.
 
     Raises:
-        InputError: any error of `build_spec`; or the model does not match the equations of motion.
+        InputError: `build_spec` raises this error, or the model does not match the equations of motion.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
@@ -276,7 +276,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     """Refuses a model whose tyres cannot be fully compressed.
 
-    If the road rose above the hub, MuJoCo would compute a longer tyre again.
+    If the road rose above the hub, the tyre in MuJoCo would become longer again.
     """
     kind, data = vehicle.kind, mujoco.MjData(model)
 
@@ -317,7 +317,7 @@ def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], li
     """Returns the wheels whose tyres have damping, and their actuators. The road velocity controls these actuators.
 
     Returns:
-        Numbers of these wheels, and the number of each wheel's actuator.
+        Indices of these wheels, and the index of each wheel's actuator.
     """
     if not vehicle.linear_model.tyres_damp:
         return [], []
@@ -355,7 +355,7 @@ def has_geometry(vehicle: Vehicle) -> bool:
     names = list(dict.fromkeys(part for name in vehicle.sensed_signals for part in combined.get(name, {name: 1.0})))
 
     def read(motion: Array) -> tuple[list[Array], Array]:
-        """Returns matrices and measurements for positions, velocities and accelerations, shape (3, n)."""
+        """Returns the model's matrices and the sensor values at given positions, velocities and accelerations, shape (3, n)."""
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = motion[0], motion[1]
         mujoco.mj_forward(model, data)

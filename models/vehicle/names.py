@@ -95,7 +95,7 @@ def is_load_file(text: str) -> bool:
 
 
 def run_without(names: Iterable[str], part: str) -> list[str]:
-    """Returns the controllers whose runs change if a part is omitted.
+    """Returns the controllers whose runs change if a part of the limits or of the implementation is omitted.
 
     The run of the passive vehicle changes only if the omitted part is `limits`.
     """
@@ -103,17 +103,23 @@ def run_without(names: Iterable[str], part: str) -> list[str]:
 
 
 def variant(part: str) -> str:
-    """Returns the suffix by which tables mark a controller's run without a part; empty for the implemented loop."""
+    """Returns the suffix by which tables mark a run without a part of the limits or implementation; empty for a run with all
+    parts.
+    """
     return f", no {part}" if part else ""
 
 
 def logged_variant(part: str) -> str:
-    """Returns the suffix by which logs mark a controller's run without a part; empty for the implemented loop."""
+    """Returns the suffix by which logs mark a run without a part of the limits or implementation; empty for a run with all
+    parts.
+    """
     return f"-no_{part}" if part else ""
 
 
 def logged_part(name: str, controller: str) -> str:
-    """Returns the part that a logged run omits, read from the name of the run; empty for the implemented loop."""
+    """Returns the part of the limits or implementation that a logged run omits, from the name of the run; empty if the run has
+    all parts.
+    """
     part = name.removeprefix(f"{controller}-no_") if name != controller else ""
     return part if part in WITHOUT else ""
 

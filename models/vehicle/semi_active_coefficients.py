@@ -65,7 +65,7 @@ def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array,
 
     Args:
         numbers: coefficients for linear dampers.
-        of: ranges of the dampers of N vehicles.
+        of: ranges of the coefficients of the dampers of N vehicles.
         closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
         which: selected vehicles out of N.
     """

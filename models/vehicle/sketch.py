@@ -102,7 +102,7 @@ def _box(how: Implementation) -> tuple[str, ...]:
 
 
 def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yields a row for each parameter. The same parameter of both axles or both sides has one row."""
+    """Yields a row for each parameter. A parameter that exists for both axles or both sides has a single row."""
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:

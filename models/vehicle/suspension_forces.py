@@ -113,8 +113,8 @@ class SuspensionForces:
 def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool, int]]:
     """Returns a row for each part of a vehicle.
 
-    A row contains the index of the suspension, the part, and True if the linearised force of the part is included. Its last
-    entry is the index of the part's first internal state.
+    A row contains the index of the suspension, the part, and True if the linearised force of the part is included. The last
+    entry of a row is the index of the part's first internal state.
     """
     forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:

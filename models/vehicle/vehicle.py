@@ -208,7 +208,7 @@ class Vehicle(ShownResult):
                 raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights of 0 or more for {known}")
 
     def starting(self, **start: float | str) -> "Vehicle":
-        """Returns the vehicle with another initial state of its runs, for drop and release tests.
+        """Returns the vehicle with a new initial state for its runs, for drop and release tests.
 
         Args:
             start: initial states [SI], or texts with a unit, such as "20 mm". The names are states of the linear model, such as
@@ -244,7 +244,7 @@ class Vehicle(ShownResult):
         return lifted + [self.start.get(name, 0.0) for name in model.states]
 
     def with_parameters(self, **parameters: float | str) -> "Vehicle":
-        """Returns the vehicle with other values of some parameters. The controllers of the vehicle do not change.
+        """Returns the vehicle with new values of some parameters. The controllers of the vehicle do not change.
 
         Args:
             parameters: values [SI], or texts with a unit, such as "450 kg". The method warns about improbable values.
@@ -268,7 +268,7 @@ class Vehicle(ShownResult):
         return vehicle
 
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
-        """Returns the vehicle with other values of some parameters, without checks.
+        """Returns the vehicle with new values of some parameters, without checks.
 
         Preloaded springs carry the new static loads.
 
@@ -558,7 +558,7 @@ class Vehicle(ShownResult):
         return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
 
     def text_for(self, path: Path) -> str:
-        """Returns the text of a vehicle file that describes this vehicle and has the given path.
+        """Returns the text of a vehicle file that describes this vehicle and will be saved at the given path.
 
         Paths of Python laws in the text are relative to the folder of this file.
 
@@ -625,7 +625,7 @@ class Vehicle(ShownResult):
         return (*RESERVED_NAMES, *(name for name, entry in self.controllers.items() if entry.linear))
 
     def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
-        """Returns the controller with a name, including `passive` and `state`.
+        """Returns the controller with the given name, which may also be `passive` or `state`.
 
         For arguments and errors, see `LawSource.driver`.
         """
@@ -722,7 +722,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         The vehicle, with its parameters in SI units.
 
     Raises:
-        InputError: any error of `read_vehicle`; or the text refers to another file, which only `read_vehicle` reads.
+        InputError: the text refers to another file, which only `read_vehicle` reads, or is invalid for one of the reasons
+            listed in `read_vehicle`.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle

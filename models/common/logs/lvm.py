@@ -1,9 +1,9 @@
 """Measurement files of LabVIEW (.lvm) as tables of numbers.
 
 Format: National Instruments, Specification for the LabVIEW Measurement File. The header of the file, and the header of each
-segment, end with `***End_of_Header***`. The header of a segment has a column for each channel. After the header of a segment,
-there are a line of names and the lines of numbers. The entry `X_Columns` is "One" if the first column contains times, and
-"Multi" if each channel has its own column of times. The entry is "No" if the times are given only by `X0` and `Delta_X`.
+segment, end with `***End_of_Header***`. The header of a segment has a column for each channel, and is followed by a line of
+names and the lines of numbers. The entry `X_Columns` is "One" if the first column contains times, and "Multi" if each channel
+has its own column of times. `X_Columns` is "No" if the times are given only by `X0` and `Delta_X`.
 """
 
 from models.common.errors import InputError, short_repr

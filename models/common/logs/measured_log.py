@@ -72,7 +72,7 @@ def read_measured_log(
         units: SI unit of each signal that may be read, by name of the signal.
         rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
         columns: heading of each signal whose column has another name in the file, by name of the signal. If the file gives no
-            unit, the heading may contain it.
+            unit for the column, the heading given here may contain the unit.
 
     Returns:
         The measured signals in SI units, with their times.
@@ -151,7 +151,8 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
     """Returns the column of each signal, by the name of the signal.
 
     Raises:
-        InputError: no column belongs to a signal, several columns belong to the same signal, or a given heading does not exist.
+        InputError: no column belongs to a signal, several columns belong to the same signal, or a heading in `columns` does not
+            exist.
     """
     used = dict[str, Heading]()
     for name, unit in units.items():

@@ -99,7 +99,9 @@ def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _rows(columns: dict[str, tuple[Array, Array]], without: str) -> list[Sequence[Any]]:
-    """Returns headings and rows of columns that have their own times; `without` is the message if there are no columns."""
+    """Returns columns that have their own times as one table: headings, then rows. `without` is the message if there are no
+    columns.
+    """
     if not columns:
         raise InputError(without)
     clock = np.unique(max((time for time, _ in columns.values()), key=len))

@@ -1,1 +1,1 @@
-"""Loads on the body: their types, their texts and files, and roads with loads."""
+"""Loads on the body: types of loads, the texts and files that define loads, and roads with loads."""

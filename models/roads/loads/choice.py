@@ -86,7 +86,9 @@ class History(Load):
 
 
 def check_file_name(path: Path | str) -> str:
-    """Returns the name of a file for a description. Texts that separate parts of a description, `;` and ` + `, are replaced."""
+    """Returns the name of a file in a form that the description of a load may contain. Texts that separate parts of a
+    description, `;` and ` + `, are replaced.
+    """
     return str(path).replace(";", "_").replace(" + ", "_+_")
 
 

@@ -8,9 +8,9 @@ are up, nose down and right side down. For a sprung mass m_s with its centre of 
     payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
 The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight but no inertia. By
-default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
-(`models/kinds/links.py`). The links' share of braking, cornering and gust loads, and the inertia of the wheels, then act as
-loads on the wheels.
+default, springs and tyres carry each moment M, and the body turns by M / K, where K is their rotational stiffness. A vehicle
+file can define suspension links instead (`models/kinds/links.py`). The links' share of braking, cornering and gust loads, and
+the inertia of the wheels, then act as loads on the wheels.
 """
 
 import math
@@ -128,7 +128,7 @@ class RampedLoad(Section, Load):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Times of the ends of rise and fall [s]."""
+        """Times at which the rise and the fall begin and end [s]."""
         start, rise, hold = self._history
         going = start + rise + hold
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
@@ -143,7 +143,7 @@ class RampedLoad(Section, Load):
         return None
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the amplitudes of the load times its function of time; see `Load`."""
+        """Returns the amplitudes of the load, multiplied by its function of time; see `Load`."""
         full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
         if kind is not None and pushing is not None:
             for name, value in kind.carried(p, *pushing).items():
@@ -214,9 +214,9 @@ class Cornering(_Inertial):
 
 
 def _vertical_force(force: float, x: float, y: float) -> dict[str, float]:
-    """Returns a vertical force [N] at a position [m], and its moments.
+    """Returns a vertical force [N], and the moments [N m] that it causes because of its position.
 
-    Zero moments are omitted for vehicles without pitch or roll.
+    Moments that are 0 are omitted, so that the force can also act on vehicles without pitch or roll.
     """
     return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
 
