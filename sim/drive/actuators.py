@@ -111,7 +111,7 @@ class Actuators:
         return self._of.commands(np.concatenate([requested, closing], axis=-1), which)
 
     def apply(self, controls: Array, commands: Array) -> None:
-        """Sets MuJoCo's controls, shape (N, nu). The actuators of the commands come first."""
+        """Sets MuJoCo's controls, shape (N, nu). In this array, the actuators of the commands come first."""
         controls[:, : self.forces] = commands[:, : self.forces]
         if len(self._ramps):
             controls[:, -len(self._ramps) :] = commands[:, self._ramps]

@@ -88,7 +88,7 @@ class RecordedForces(ControlLaw):
     """Recorded commands, which do not depend on the measurements.
 
     Attributes:
-        measured: names of the signals that the original controller measured.
+        measured: names of the signals that the controller measured when the commands were recorded.
         forces: forces at every time step [N], shape (T, m), or commands of semi-active dampers, shape (T, 2 m).
     """
 

@@ -22,7 +22,7 @@ from synth.plant.loop import HoldInterval, Loop, respond
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response from equilibrium to given forces and to the road as MuJoCo holds it over each step.
+    """Returns the response, from equilibrium, to known forces and to the road, both held over each step as in MuJoCo.
 
     Args:
         forces: requested forces at every sample [N], shape (T, m).

@@ -24,8 +24,8 @@ with a kink of the road is divided at the kink.
 
 Preview. The forces from the road ahead are added to those of the gain. In the sampled loop, the preview forces are known sums
 over the road heights. In the continuous loop, the preview forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d =
-Bp z_r' + Hp z_r, which decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. In the equation for y =
-x - P g, only the road remains on the right-hand side, and g is computed separately:
+Bp z_r' + Hp z_r; g decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. In the equation for
+y = x - P g, only the road remains on the right-hand side, and g is computed separately:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
 """
@@ -312,7 +312,7 @@ CHEBYSHEV = 16  # number of nodes of the Chebyshev polynomial, whose degree is o
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
-    """Returns the steps with a kink among those from the given times; for each step, its start, its kinks and its end [s]."""
+    """Returns the steps that contain a kink: for each step, its index, and a list of its start, its kinks and its end [s]."""
     found = []
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():
         if 0 <= k < len(time):

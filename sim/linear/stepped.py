@@ -249,8 +249,8 @@ class _Laws:
 
         Args:
             sample: index of the sample, from 0.
-            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The given inputs are those that
-                have acted until the sample.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. `inputs` contains the inputs
+                that have acted until the sample.
             law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]

@@ -1,4 +1,5 @@
-"""Reports on runs: documents, and the events that logs contain. Only text and pages need this module; JSON is in `record`.
+"""Reports on runs: documents, and the events that logs contain. Only text and pages need this module; the module `record`
+produces JSON.
 
 `describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
 sentences.

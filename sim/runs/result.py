@@ -48,7 +48,7 @@ class RunResult:
         prediction: linear responses of the run, for its vehicle, controller and road.
         physics: response simulated by MuJoCo.
         agreement: comparison of the simulation with analysis.
-        qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None for a run without its energy balance.
+        qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None if the energy balance is not computed.
         energy: energy balance of the run; None if it is not computed.
         half_step: accuracy of the simulation after a lift-off; None if no tyre lifted off, or if the run became invalid. With
             noisy or quantised measurements, the value is also None, because noise and quantisation depend on the time step.

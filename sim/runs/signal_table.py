@@ -33,7 +33,8 @@ def write_runs(path: Path, runs: Sequence[RunResult]) -> None:
 
 
 def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
-    """Writes columns over time. Cells without a finite number, and cells after the end of a column, are empty.
+    """Writes columns of numbers over time to a CSV file. Cells without a finite number, and cells after the end of a column,
+    are empty.
 
     Args:
         path: path of the file. The file is written under a temporary name, and renamed to `path` when it is complete.

@@ -14,8 +14,8 @@ w) is 1 at some frequency w. The margins are not read from a frequency grid. Let
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.
 
-If D is not zero, the problems contain additional matrices, and a fine grid gives the candidates for phase lags. All candidates
-are then refined by means of the poles of the closed loop.
+If D is not zero, the eigenvalue problems contain additional matrices, and the candidates for phase lags are found on a fine
+grid. All candidates are then refined by means of the poles of the closed loop.
 """
 
 import itertools

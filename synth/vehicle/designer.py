@@ -62,7 +62,9 @@ class SharedDesignData:
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. This bound holds for any measurements without noise."""
+        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. This
+        bound holds for any measurements without noise.
+        """
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
@@ -102,8 +104,8 @@ class Designer:
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        search: True to also compare given gains with the best controller of each vehicle, which requires additional designs
-            (`verify_specifications`).
+        search: True to also compare gains from the vehicle file with the best controller of each vehicle, which requires
+            additional designs (`verify_specifications`).
 
     Raises:
         InputError: an argument has the wrong type.
@@ -145,7 +147,9 @@ class Designer:
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. This bound holds for any measurements."""
+        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. This
+        bound holds for any measurements.
+        """
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
@@ -189,8 +193,8 @@ class Designer:
 
         Raises:
             InputError: no controller has this name.
-            DesignError: the controller could not be designed, or its certificate fails. A given gain is not changed. If the two
-                steps fail, a descent on the norm replaces them; see `Controller.fallback_method`.
+            DesignError: the controller could not be designed, or its certificate fails. A gain that the vehicle file contains
+                is not changed. If the two steps fail, a descent on the norm replaces them; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)

@@ -173,7 +173,7 @@ class Verification:
     def decay(self, rate: float) -> list[Specification]:
         """Returns the specifications of the slowest pole in the family: first without, then with gain errors, if any.
 
-        If there are gain errors, all poles are shifted to the right by the rate. The decay rate is proved if the shifted loops
+        If there are gain errors, all poles are shifted to the right by `rate`. The decay rate is proved if the shifted loops
         are stable.
         """
         slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]

@@ -60,7 +60,7 @@ class CSource:
     """C code of a law: header, source and tables."""
 
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
-        """Prepares the texts of a law.
+        """Prepares the C source of a law.
 
         Args:
             law: exported law.
@@ -161,7 +161,9 @@ class CSource:
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def template(self, name: str, **words: str) -> str:
-        """Returns a text of the folder `c` with `PREFIX` replaced by the name of the law, and other words replaced as given."""
+        """Returns the text of a file in the folder `c`, with `PREFIX` replaced by the name of the law, and each key of `words`
+        by its value.
+        """
         own = {"PREFIX": self.p, **words}
         return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))
 

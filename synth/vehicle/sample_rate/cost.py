@@ -1,8 +1,8 @@
 """Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad. Modes that have
-decayed are exempt. The limit is then found by bisection between the last stable and the first unstable period.
+rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad. Modes that
+have decayed are ignored. The stability limit is then found by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -135,8 +135,8 @@ def cost(
     """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if no delay is given,
-            it is 1.
+        vehicle: vehicle of the controller. From its `[implementation]`, only the delay is used; without a delay, 1 sample is
+            used.
         controller: linear controller.
         periods: sample periods in ascending order [s].
         designs: periods for which a static controller is also redesigned [s].
