@@ -154,7 +154,8 @@ class Plan:
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
         """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
 
-        If the campaign samples parameters of a law, the resulting variants are candidates instead of the controller itself.
+        If the campaign draws samples of a law's parameters, the resulting variants are candidates instead of the controller
+        itself.
         """
         runs: dict[Candidate, list[Array]] = {}
         for block in (one for one in self.blocks if one.vehicle == vehicle):

@@ -355,7 +355,8 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
     """Returns points with the expected dynamic load and ride of a vehicle at a given speed.
 
-    Both results are empty if the road is not random, or if the vehicle has sampled parameters or no semi-active dampers.
+    Both results are empty if the road is not random, or if the campaign samples parameters of the vehicle, or if the vehicle
+    has no semi-active dampers.
 
     Args:
         plan: runs of the campaign.
@@ -365,7 +366,8 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
 
     Returns:
         Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name,
-        computed as if ideal actuators applied every requested force. Controllers with a sampled law are omitted.
+        computed as if ideal actuators applied every requested force. Controllers are omitted if the campaign samples parameters
+        of their laws.
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)

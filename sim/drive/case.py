@@ -124,7 +124,7 @@ class Batch:
         return [one.driver for one in self.cases]
 
     def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
-        """Yields the index of every run that starts in steady motion, with its steady signals, shape (B, S)."""
+        """Yields the index of every run that starts in steady motion, with the signals of this motion, shape (B, S)."""
         for i, road in enumerate(self.inputs):
             if (steady := road.steady_signals(self.time[samples])) is not None:
                 yield i, steady

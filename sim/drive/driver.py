@@ -22,7 +22,7 @@ class Driver(Protocol):
     """Control law of N runs that are simulated together. N is 1 for a single run.
 
     `sim.run` accepts an object with these attributes and methods as a controller. `start` is called before each repetition of a
-    run, so a driver with internal data must reset it there.
+    run, so a driver with internal data must reset these data in `start`.
 
     Example:
         >>> import numpy as np

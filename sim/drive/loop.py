@@ -111,7 +111,7 @@ class Block:
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """Returns the number of runs to simulate together: at most `RUNS_AT_ONCE`, and so few that their road heights fit into memory.
+    """Returns the number of runs to simulate together: `RUNS_AT_ONCE`, or fewer so that their road heights fit into memory.
 
     Args:
         samples: number of samples per run.

@@ -89,8 +89,9 @@ class End:
 
     Attributes:
         name: name of this end in tables, maps and JSON output.
-        event: text that a log contains at the first time of this end; empty if the end is not logged.
-        verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports it in another way.
+        event: text of the log entry at the time when this end first occurs; empty if the end is not logged.
+        verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports this end in
+            another way.
         color: colour of this end in a map, on a light background.
         marker: shape and colour of the marker on plots with a dark background. The names of the shapes are those of Rerun. No
             line in a plot has this colour.
@@ -270,8 +271,8 @@ class EndDetector:
 
     Anti-windup and limits of commands act from the first sample at which the demand on an actuator is clipped. With
     a lag, this happens before the force reaches its limit. The demand is computed from the forces at both ends of a step, and
-    its clipping counts as saturation. The rates of commands, which are compared with the rate limit, are computed in the same
-    way.
+    clipping of the demand counts as saturation. The rates of commands, which are compared with the rate limit, are computed in
+    the same way.
 
     Attributes:
         times: first time of each end [s], shape (N, E); infinity if the end is not reached.

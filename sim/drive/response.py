@@ -240,7 +240,8 @@ class Response(ShownResult):
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
-    """Returns the difference from the sampled response over time, relative to its peaks. The verdict uses the largest value.
+    """Returns the difference from the sampled response over time, relative to its peaks. The verdict uses the largest of these
+    differences.
 
     Args:
         sampled: exact sampled response, at the same sample times as the simulated response.

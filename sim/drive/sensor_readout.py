@@ -51,7 +51,7 @@ class Readout:
         names: names of the S signals. The last k signals are the states of the vehicle's parts.
         stage: mjtStage to which MuJoCo must be evaluated for the sensor of each signal, shape (S,).
         linear: True for signals that are linear in (qpos, qvel), shape (S,). Linear signals are computed from the state before
-            a step. Evaluating their sensors would take a seventh of the time of the step.
+            a step. Evaluating the sensors of these signals would take a seventh of the time of a step.
         of_state: matrix that maps (qpos, qvel) to linear signals, shape (S, nq + nv).
         of_sensors: matrix that maps MuJoCo's `sensordata` to signals, shape (S, nsensordata).
         of_parts: matrix that maps the states of parts to signals, shape (S, k).

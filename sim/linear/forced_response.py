@@ -26,7 +26,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
     Args:
         forces: requested forces at every sample [N], shape (T, m).
-        road: road, with its vehicle.
+        road: road to drive over, with the vehicle that drives over it.
         exponential: function for the matrix exponential. `taylor4` predicts RK4 up to rounding. With characteristics, the
             response is always computed by RK4.
     """

@@ -171,7 +171,7 @@ class Agreement(LinearComparison, ShownResult):
             equations.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
             law.
-        code_effect: difference between exported code and the law, which must be small; None if there is no exported code.
+        code_effect: effect of exported code on the run, which must be small; None if there is no exported code.
     """
 
     lift_off: tuple[tuple[float, float], ...] = ()

@@ -236,7 +236,8 @@ def _simulate_predictions(
     `share`.
 
     Runs that share a vehicle or a road still share it after the changes. The commands of a Python control law, or of a noisy
-    run, are repeated. If the road height is multiplied by the factor `share`, the repeated forces are multiplied by the same factor.
+    run, are repeated. If the road height is multiplied by the factor `share`, the repeated forces are multiplied by the same
+    factor.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}

@@ -159,7 +159,7 @@ def _end(runs: Sequence[RunResult]) -> float:
 
 
 def _weighted_signals(runs: Sequence[RunResult]) -> dict[str, Signal]:
-    """Returns the signals that a vehicle of the runs weights, by name."""
+    """Returns, by name, the signals that have a weight in a vehicle of the runs."""
     vehicles = [run.vehicle for run in runs]
     return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
 

@@ -157,7 +157,9 @@ class Designer:
         return self.shared(hardware).problem(measured, hardware.noise)
 
     def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
-        """Returns the lower bound for controllers of any order with these measurements; if there are none, for state feedback."""
+        """Returns the lower bound for controllers of any order with these measurements; without measurements, the bound for
+        state feedback.
+        """
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
     def _later_bound(self, entry: ControllerEntry) -> Any:
@@ -194,7 +196,8 @@ class Designer:
         Raises:
             InputError: no controller has this name.
             DesignError: the controller could not be designed, or its certificate fails. A gain that the vehicle file contains
-                is not changed. If the two steps fail, a descent on the norm replaces them; see `Controller.fallback_method`.
+                is not changed. If the two steps fail, a descent on the norm replaces the two steps; see
+                `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -359,7 +362,7 @@ class Designer:
         return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """Recomputes the certificate of a given law from its proofs.
+        """Recomputes the certificate of a law in the vehicle file from the proofs in this file.
 
         The result contains the certificate and descriptions of the false claims.
 

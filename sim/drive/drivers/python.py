@@ -19,7 +19,7 @@ WILD = 1e8  # largest measurement, in SI units, with which a Python law is calle
 
 
 def in_python(controllers: Sequence[PythonController], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:
-    """Returns the driver of a Python control law; the law itself if it is a driver."""
+    """Returns the driver of a Python control law; if the law is a driver itself, returns the law."""
     law = controllers[0]
     return law.function if is_driver(law.function) else PythonDriver(law, failures, numbers)
 

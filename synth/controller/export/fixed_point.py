@@ -40,7 +40,7 @@ class FixedPoint:
         state_units: size of one integer step of each state, shape (k,).
         rows: integer coefficients, shape (m + k, q + k + m). The first m rows belong to the forces, the other rows to the next
             states. The columns belong to the measurements, the states, and the parts of the forces that a limit removes.
-        shifts: exponent of each row by which its sum is divided (2^shift), shape (m + k,).
+        shifts: exponent for each row, whose sum is divided by 2^shift, shape (m + k,).
         limit: largest allowed magnitude of each force, in the units `given`, shape (m,); None without limit.
         change: largest allowed change of each force per sample, in the units `given`, shape (m,); None without limit.
     """

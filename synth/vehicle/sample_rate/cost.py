@@ -99,8 +99,8 @@ class Cost:
     Attributes:
         controller: controller whose norms are given.
         ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
-        lower_bound: lower bound on the norm with these measurements at any rate; None if no bound is known. The bound is proved
-            for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
+        lower_bound: lower bound on the norm with these measurements at any sample rate; None if no bound is known. The bound is
+            proved for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
         delay: delay of the forces that `delayed_norm` and `lost_late` take into account [samples].
         rates: norms at each sample rate, in ascending order of the period.
         unstable_period: shortest sample period at which the loop is not stable [s]; see `smallest_unstable_period`.
@@ -143,7 +143,7 @@ def cost(
         done: function that is called with the number of sample periods that are finished.
 
     Raises:
-        DesignError: the loop has no finite norm at any rate, because a constant road height affects z.
+        DesignError: the loop has no finite norm at any sample rate, because a constant road height affects z.
     """
     if not has_sampled_norm(vehicle, controller):
         raise DesignError("the loop has no finite norm at any rate, because a constant road height affects z")

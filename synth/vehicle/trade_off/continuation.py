@@ -57,7 +57,7 @@ class FrontContinuation:
 
         Args:
             search: search with bounds, structure and starts; its goal is not used.
-            axes: landscapes of each axis; the largest of their norms is the value of the axis.
+            axes: landscapes (norms as functions of the gain) of each axis; the largest of their norms is the value of the axis.
             starts: starting gains, each of shape (m, q).
 
         Raises:
