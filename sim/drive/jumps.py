@@ -25,7 +25,7 @@ from sim.drive.response import Response
 
 
 def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
-    """Returns the response with the values just before decisions in `before`.
+    """Returns the response, with the values just before decisions added to `before`.
 
     Values at vertical edges of the road are kept.
 

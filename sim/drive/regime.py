@@ -133,7 +133,7 @@ def _either_way(
 
 
 def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that gives the thresholds at which a vehicle's parts reach a given end."""
+    """Returns a function that gives the thresholds at which a vehicle's parts reach a given end of the linear regime."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         found = []

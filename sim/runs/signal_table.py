@@ -18,7 +18,7 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
 
     Args:
         name: name of the run, usually that of its controller.
-        responses: responses by source, for example "mujoco", with the same samples from 0.
+        responses: responses by source, for example "mujoco", all at the same sample times, which start at 0.
     """
     for signal in dict.fromkeys(signal for response in responses.values() for signal in response.signals):
         for source, response in responses.items():

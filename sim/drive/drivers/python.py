@@ -35,7 +35,8 @@ class PythonDriver:
         """Prepares the controller of the runs.
 
         Args:
-            failures: dictionary that receives the failures of the law, whose runs continue without forces; None to raise them.
+            failures: dictionary that receives the failures of the law, whose runs continue without forces; None to raise the
+                failures as errors.
             numbers: keys of the N runs in `failures`.
         """
         self._controller, self._failures, self._numbers = controller, failures, numbers

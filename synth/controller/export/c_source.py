@@ -1,4 +1,5 @@
-"""C99 source of an exported law. The code uses no heap and no library, adds in a fixed order, and prefixes every name.
+"""C99 source of an exported law. The code uses no heap and no library, adds numbers in a fixed order, and gives every name a
+prefix.
 
 Fixed-point code uses only integers. Sums have 64 bits, and every result is clipped so that it cannot overflow.
 """
