@@ -79,7 +79,7 @@ class Actuators:
         """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0). The array is changed in place.
 
         Args:
-            closing: closing velocities with the motion ratios in equilibrium, shape (N, m).
+            closing: closing velocities, computed with the motion ratios in equilibrium, shape (N, m).
             deflections: deflections of all suspensions [m], shape (N, s).
         """
         if self._of is not None:

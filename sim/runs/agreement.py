@@ -211,7 +211,7 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     Args:
         prediction: linear responses of the run.
         recording: recording of the run.
-        code_effect: difference between exported code and the law; None if there is no exported code.
+        code_effect: effect of exported code on the run; None if there is no exported code.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))

@@ -100,8 +100,9 @@ class RunResult:
     def line_errors(self) -> Mapping[str, float]:
         """Largest difference between the linearisation at equilibrium and MuJoCo, relative to MuJoCo's peak, by signal.
 
-        The difference is measured until the linear regime ends for another reason. The mapping is empty for a vehicle without
-        characteristics, or without a sampled response. States of parts with a kink at equilibrium are omitted.
+        The difference is measured up to `agreement.until`, the time until which linear analysis applies. The mapping is empty
+        for a vehicle without characteristics, or without a sampled response. States of parts with a kink at equilibrium are
+        omitted.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}

@@ -1,4 +1,4 @@
-"""Plots of signals over time. Lines show analysis, and points MuJoCo; after the linear regime, lines show MuJoCo."""
+"""Plots of signals over time. Lines show analysis, and points show MuJoCo; after the linear regime, lines show MuJoCo."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -424,7 +424,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 
     Args:
         vehicle: vehicle of the plant.
-        signals: names of the q measured signals, in the order of the rows.
+        signals: names of the q measured signals, in the order of the rows of C_y.
         bandwidth: corner frequency of the actuator lag, as in `generalized_plant` [rad/s]. With lag, the feedthrough is zero.
 
     Raises:

@@ -166,9 +166,9 @@ def bilinear(cut: StateSpace) -> StateSpace:
 def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
     """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
-    If `tried` is given, only the intervals between these factors are searched, shape (K,). If the loop has a feedthrough, the
-    factor at which its spectral radius reaches 1 is also a limit: beyond it, any delay makes the loop unstable. If this factor is
-    below 1, the loop itself is only theoretical, and factors beyond it are returned, too.
+    If `tried` is given, with shape (K,), only the intervals between these K factors are searched. If the loop has a
+    feedthrough, the factor at which its spectral radius reaches 1 is also a limit: beyond it, any delay makes the loop
+    unstable. If this factor is below 1, the loop itself is only theoretical, and factors beyond it are returned, too.
     """
     n = len(cut.A)
     if cut.dt is not None:
