@@ -46,7 +46,7 @@ FAILED_LAW = "law: "  # a failure reason that begins with this text means that t
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> Rows | None:
-    """Returns the rows of consecutive runs of one vehicle, or None if `stopped` returned True.
+    """Returns the rows of the results for consecutive runs of one vehicle, or None if `stopped` returned True.
 
     Args:
         plan: all runs of the campaign.
@@ -78,12 +78,12 @@ class RowObserver:
     """Observes runs: computes metrics, finds the end of the linear regime, and compares the runs with linear analysis."""
 
     def __init__(self, plan: Plan, runs: Sequence[PlannedRun], batch: Batch) -> None:
-        """Prepares the measurement of a batch.
+        """Prepares the observer for a batch of runs.
 
         Args:
             plan: all runs of the campaign.
             runs: runs of one controller.
-            batch: batch of the simulation, with the indices of its runs in `runs`.
+            batch: batch of the simulation; its attribute `numbers` contains the indices of its runs in `runs`.
         """
         campaign, runs = plan.campaign, [runs[i] for i in batch.numbers]
         random, loaded = runs[0].choice.stationary, [run.road.loaded for run in runs]
@@ -122,7 +122,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
     """Simulates runs of one controller.
 
     Returns:
-        Rows of the results, and the indices of the runs that may have failed because of another run.
+        Rows of the results, and the indices of the runs whose failure may have been caused by another run.
 
     Raises:
         StoppedError: `stopped` returned True.
@@ -149,7 +149,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
 
 
 def end_columns(end: RunEnd) -> dict[str, Any]:
-    """Returns columns of a row: why the run was aborted (None if it was not), and when and why its linear regime ended."""
+    """Returns the columns that state why a run was aborted (None if it was not), and when and why its linear regime ended."""
     reason = None
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"

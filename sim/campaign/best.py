@@ -64,7 +64,8 @@ class Choice:
         vehicle: name of the vehicle in the campaign.
         request: metric and limits that the user requested.
         candidate: selected candidate; None if no candidate has values for all requested metrics.
-        values: sampled parameters in the law of the selected candidate, by key; empty if none are sampled.
+        values: sampled values of the parameters in the law of the selected candidate, by key; empty if no parameters are
+            sampled.
         numbers: values of the requested metrics for the selected candidate, in SI units.
         within: number of candidates within the limits; if this number is 0, `candidate` is the one nearest to the limits.
         count: number of candidates.

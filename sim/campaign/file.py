@@ -91,17 +91,18 @@ class Campaign:
         controllers: names of the controllers; every vehicle must have all of them.
         roads: requested roads.
         speeds: speeds of the vehicles [m/s].
-        seeds: seeds of the random roads. A road that is not random is simulated only once.
+        seeds: seeds of the random roads. A road that is not random is simulated only once, whatever the seeds.
         duration: duration of every run [s].
         settle: duration of the initial part of a run that is not measured [s], for random roads. Runs over other roads are
             measured from the start.
         timestep: timestep of the simulation [s].
-        samples: samples of each vehicle's parameters, with values [SI] by name; a single empty sample if nothing is sampled.
+        samples: for each vehicle, samples of its parameters, with values [SI] by name; a single empty sample if nothing is
+            sampled.
         variants: variants of each law with sampled parameters, by vehicle and controller; a variant maps keys of the law to
             values.
         sample_seed: seed of the random numbers from which samples and variants are drawn.
         text: text of the campaign file.
-        earlier: True to repeat a campaign of an earlier version, see `RoadInput.earlier`.
+        earlier: True to repeat a campaign of an earlier version of Roadproof, see `RoadInput.earlier`.
     """
 
     vehicles: Mapping[str, Vehicle]

@@ -1,7 +1,7 @@
 """Keys of a control law that a campaign can sample: parameters of a semi-active law, entries of a gain or of a law's matrices.
 
-Sampled values are read like a section of a vehicle file, and have the same limits. A law with sampled values can therefore be
-written to a vehicle file.
+Sampled values are checked like the values in a section of a vehicle file, and have the same limits. A law with sampled values
+can therefore be written to a vehicle file.
 """
 
 import unicodedata

@@ -38,7 +38,7 @@ class Manifest:
         campaign: text of the campaign file.
         controllers: gains of the designed controllers, by vehicle and controller.
         runs: number of runs in the campaign.
-        earlier: True for a campaign of an earlier version, see `RoadInput.earlier`.
+        earlier: True for a campaign of an earlier version of Roadproof, see `RoadInput.earlier`.
         part: part of the campaign that this folder contains, such as 3/40; empty for a whole campaign.
     """
 
@@ -82,7 +82,7 @@ class Manifest:
         """Checks that the plan in a folder belongs to this campaign and to the installed versions.
 
         Args:
-            folder: results folder, which the error message names.
+            folder: results folder, whose path the error message contains.
             digest: checksum of the campaign, see `Campaign.digest`.
             versions: installed versions of packages, by name.
             instead: advice to the user at the end of the error message.

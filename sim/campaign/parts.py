@@ -108,7 +108,7 @@ def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, version
     """Checks that the folder of a part belongs to this campaign, and has the same gains and package versions.
 
     Raises:
-        InputError: the folder contains another part, or belongs to another campaign, other gains or other package versions.
+        InputError: the folder contains another part, or its campaign, gains or package versions are different.
     """
     own = part.folder(folder)
     manifest = read_manifest(own, AGAIN)

@@ -88,7 +88,7 @@ class RunBlock:
 
     @property
     def candidates(self) -> dict[Candidate, Array]:
-        """The controller, or each of its variants, with the numbers of the runs, shape (n,)."""
+        """The controller, or each of its variants, with the numbers of its runs, shape (n,)."""
         numbers = [None] if self.variants is None else range(len(self.variants))
         runs = np.split(np.arange(self.start, self.stop), len(numbers))
         return {Candidate(self.controller, number): some for number, some in zip(numbers, runs, strict=True)}
@@ -154,7 +154,8 @@ class Plan:
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
         """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
 
-        If the campaign samples parameters of a law, the resulting variants are candidates instead of the controller itself.
+        If the campaign draws samples of a law's parameters, the resulting variants are candidates instead of the controller
+        itself.
         """
         runs: dict[Candidate, list[Array]] = {}
         for block in (one for one in self.blocks if one.vehicle == vehicle):
@@ -163,7 +164,8 @@ class Plan:
         return {candidate: np.concatenate(some) for candidate, some in runs.items()}
 
     def share(self, number: int, of: int) -> Runs:
-        """Returns the runs of one part of the campaign, as ascending intervals. All parts take about the same time.
+        """Returns the runs of one part of the campaign, as intervals of run numbers in ascending order. All parts take about
+        the same time.
 
         The runs of each vehicle are distributed in rounds: each round gives every part one interval of consecutive runs and
         starts with another part. Each part therefore has runs of all controllers, roads and speeds.

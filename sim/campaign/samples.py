@@ -65,7 +65,7 @@ class Sampler:
 
         Args:
             where: section of the table and name of the vehicle, which error messages contain.
-            table: distributions by name.
+            table: distributions by name of the parameter.
             own: value of each parameter that can be sampled, from the vehicle file; None for a parameter without a value.
                 Relative distributions are multiples of these values.
             check: function that raises InputError if a value is not allowed.
@@ -182,8 +182,8 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     """Reads a distribution.
 
     Returns:
-        True if the distribution is relative to the value in the vehicle file, the smallest and the largest value of the
-        distribution, and the quantile function.
+        Whether the distribution is relative to the value in the vehicle file; its smallest and largest value; and its quantile
+        function.
     """
     give = f"give {name} = {{ uniform = [low, high] }} or {{ normal = [mean, deviation] }}; relative = true may be added"
     relative = entry.get("relative", False) if isinstance(entry, dict) else None

@@ -38,7 +38,9 @@ LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for o
 
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics in the table by name: ride, travel and dynamic load. The table shows each metric's worst column."""
+    """Returns the metrics in the table by name: ride, travel and dynamic load. If a metric has several columns, the table shows
+    the column with the largest value.
+    """
     headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
     return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
@@ -94,9 +96,10 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     """Returns one entry per vehicle, road, speed and controller, over all variants, samples and seeds.
 
-    For each metric of `headlines`, the entry contains the worst column with its root mean square and 95th percentile over the
-    runs. The entry also contains the root mean square of the prediction for the same runs. The prediction is the expected value
-    for random roads, and the linear response for other roads. Laws in Python have no prediction.
+    For each metric of `headlines`, the entry contains the name of the worst column, and the root mean square and 95th
+    percentile of this column over the runs. The entry also contains the root mean square of the prediction for the same runs.
+    The prediction is the expected value for random roads, and the linear response for other roads. Laws in Python have no
+    prediction.
 
     A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run was aborted.
     Aborted runs have no metrics, and are left out of the results and of the predictions. Runs whose law failed have no metrics
@@ -140,7 +143,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
     """Returns statistics of the worst metric: value over all runs, standard error, 95th percentile and prediction.
 
-    Runs without metrics do not count. All entries are None if these columns do not exist for the vehicle type. For example, a
+    Runs without metrics do not count. All entries are None if the vehicle type does not have these metrics. For example, a
     vehicle without a suspension has no travel.
 
     Args:
@@ -247,7 +250,9 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Adds up the counts in a controller's entries for all roads; also returns the first reason and the first failure."""
+    """Adds up the counts in a controller's entries for all roads; also returns the first reason for an aborted run, and the
+    first error of a law.
+    """
     whole: dict[str, Any] = dict(entries[0])
     whole |= {one.key: sum(entry[one.key] for entry in entries) for one in COUNTS if one.key in whole}
     reasons = {key: [entry[key] for entry in entries if entry.get(key)] for key in ("first_reason", "first_failure")}
@@ -330,7 +335,9 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
 
 
 def _points(entry: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Returns the points (dynamic load, ride) of a controller, or of each of its variants; only points with both numbers."""
+    """Returns the points (dynamic load, ride) of a controller, or of each of its variants; points that lack one of these
+    numbers are omitted.
+    """
     ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
     return [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
 
@@ -348,7 +355,8 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
     """Returns points with the expected dynamic load and ride of a vehicle at a given speed.
 
-    Both results are empty if the road is not random, or if the vehicle has sampled parameters or no semi-active dampers.
+    Both results are empty if the road is not random, or if the campaign samples parameters of the vehicle, or if the vehicle
+    has no semi-active dampers.
 
     Args:
         plan: runs of the campaign.
@@ -358,7 +366,8 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
 
     Returns:
         Points (dynamic load, ride) of constant dampers, softest first, shape (k, 2). Points of linear controllers by name,
-        computed as if ideal actuators applied every requested force. Controllers with a sampled law are omitted.
+        computed as if ideal actuators applied every requested force. Controllers are omitted if the campaign samples parameters
+        of their laws.
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)

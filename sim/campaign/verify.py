@@ -56,7 +56,9 @@ def verify(plan: Plan, store: Store, gains: Gains, count: int, seed: int, progre
 
 
 def _wrong_inputs(plan: Plan, table: pa.Table) -> Iterator[str]:
-    """Yields a sentence if rows are missing, duplicated or in the wrong order, else about the first row with wrong inputs."""
+    """Yields a sentence if rows are missing, duplicated or in the wrong order; otherwise, a sentence about the first row
+    with wrong inputs.
+    """
     if not np.array_equal(table["run"].to_numpy(), np.arange(plan.count)):
         few = f"the results have {len(table)} rows for {plan.count} runs"
         yield few if len(table) != plan.count else "the rows of the results are not in the order of the runs"
@@ -87,7 +89,7 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
 
 
 def _same(there: Any, now: Any) -> bool:
-    """Returns True if two cells are equal. Numbers may differ by the rounding errors of another machine."""
+    """Returns True if two cells of the results are equal. Numbers may differ by the rounding errors of another machine."""
     if isinstance(there, float) and isinstance(now, float):
         return math.isclose(there, now, rel_tol=SAME, abs_tol=ROUNDING)
     return there == now

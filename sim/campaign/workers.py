@@ -23,7 +23,7 @@ RETRIES = 5  # largest number of repetitions of a batch whose Ray worker has die
 
 @one_thread()
 def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> tuple[Rows | None, float]:
-    """Returns the rows of `run_batch`, and the time that it took [s]."""
+    """Returns the rows that `run_batch` returns, and the time that `run_batch` took [s]."""
     began = time.monotonic()
     return run_batch(plan, start, stop, stopped), time.monotonic() - began
 

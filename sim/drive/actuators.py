@@ -79,7 +79,7 @@ class Actuators:
         """Multiplies the closing velocities of dampers by the relative motion ratio r(d) / r(0). The array is changed in place.
 
         Args:
-            closing: closing velocities with the motion ratios in equilibrium, shape (N, m).
+            closing: closing velocities, computed with the motion ratios in equilibrium, shape (N, m).
             deflections: deflections of all suspensions [m], shape (N, s).
         """
         if self._of is not None:
@@ -111,7 +111,7 @@ class Actuators:
         return self._of.commands(np.concatenate([requested, closing], axis=-1), which)
 
     def apply(self, controls: Array, commands: Array) -> None:
-        """Sets MuJoCo's controls, shape (N, nu). The actuators of the commands come first."""
+        """Sets MuJoCo's controls, shape (N, nu). In this array, the actuators of the commands come first."""
         controls[:, : self.forces] = commands[:, : self.forces]
         if len(self._ramps):
             controls[:, -len(self._ramps) :] = commands[:, self._ramps]

@@ -21,7 +21,7 @@ class State:
         motion: positions and velocities of MuJoCo, states of the vehicle's parts, and activations, shape (nq + nv + k + na,).
         acting_forces: forces that already act before the first sample [N], shape (m,).
         law, undelayed_forces: states of the controller, and of the second controller without delay, both in discrete form.
-        pending_forces: delayed forces that act at the first sample or later, in this order [N], shape (d, m).
+        pending_forces: delayed forces that act at the first sample or later, in the order in which they act [N], shape (d, m).
     """
 
     motion: Array
@@ -42,7 +42,7 @@ class Case:
         start: state at the start of the run. If None, the run starts in equilibrium or, on a measured road, in steady motion.
         undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first
             controller; None if there is no second controller.
-        earlier: True to repeat a run of an earlier version, see `RoadInput.earlier`.
+        earlier: True to repeat a run of an earlier version of Roadproof, see `RoadInput.earlier`.
         input: road heights at the sample times, if they have been computed before; otherwise None.
     """
 
@@ -77,9 +77,10 @@ class Batch:
         velocities: rates of change of the road heights at the samples [m/s], shape (T, N, r); None if not needed.
         held_inputs: further inputs that MuJoCo holds over each step, see `RoadInput.held_inputs`, shape (T, N, l) or (T, N, l +
             r); None if there are none.
-        effects: effects of the loads on the signals of the samples and on the measurements, see `RoadInput.in_signals`; None if
+        effects: effects of the loads on the signals at the samples and on the measurements, see `RoadInput.in_signals`; None if
             there are no loads.
-        sides: road heights on the other side of vertical edges of the road [m], shape (N, r) each, by index of the sample.
+        sides: for each sample at a vertical edge of the road, the road heights on the side of the edge that `now` does not
+            contain [m], shape (N, r) each, by index of the sample.
         failures: failures of Python control laws, by run. A run with a failed law continues without forces. If `failures` is
             None, the first failure is raised as an error.
         numbers: index of each run among all cases; the keys of `failures`.
@@ -123,7 +124,7 @@ class Batch:
         return [one.driver for one in self.cases]
 
     def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
-        """Yields the index of every run that starts in steady motion, with its steady signals, shape (B, S)."""
+        """Yields the index of every run that starts in steady motion, with the signals of this motion, shape (B, S)."""
         for i, road in enumerate(self.inputs):
             if (steady := road.steady_signals(self.time[samples])) is not None:
                 yield i, steady
@@ -191,7 +192,9 @@ ROAD_ARRAYS = ("heights", "midway", "velocities")  # attributes of `RoadInput` t
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Returns the road inputs. Equal inputs become one object, so that the heights under the wheels are computed only once."""
+    """Returns the road inputs. Equal inputs are replaced by one object, so that the heights under the wheels are computed only
+    once.
+    """
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]

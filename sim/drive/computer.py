@@ -142,7 +142,8 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation of a controller, without the effects that the control law or its code already contains.
+    """Returns the implementation of a controller, without those of its effects that the control law or the code already
+    contains.
 
     Recorded commands have no implementation.
     """

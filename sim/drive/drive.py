@@ -32,7 +32,7 @@ FEWEST = 4
 
 
 class Observer(Protocol):
-    """Object that receives and evaluates the samples of a batch. Observers are created by functions of the `Batch`."""
+    """Object that receives and evaluates the samples of a batch. Observers are created by functions that take a `Batch`."""
 
     def take(self, block: Block) -> None:
         """Receives the next block of samples."""

@@ -22,7 +22,7 @@ class Driver(Protocol):
     """Control law of N runs that are simulated together. N is 1 for a single run.
 
     `sim.run` accepts an object with these attributes and methods as a controller. `start` is called before each repetition of a
-    run, so a driver with internal data must reset it there.
+    run, so a driver with internal data must reset these data in `start`.
 
     Example:
         >>> import numpy as np
@@ -88,7 +88,7 @@ class RecordedForces(ControlLaw):
     """Recorded commands, which do not depend on the measurements.
 
     Attributes:
-        measured: names of the signals that the original controller measured.
+        measured: names of the signals that the controller measured when the commands were recorded.
         forces: forces at every time step [N], shape (T, m), or commands of semi-active dampers, shape (T, 2 m).
     """
 

@@ -1,9 +1,9 @@
 """Jumps of signals at samples where a held force, or the held coefficient of a semi-active damper, changes.
 
 Such a jump is called a decision if it is due to a semi-active damper, or to a force that is held for more than one time step.
-Peaks include the values on both sides of decisions and of vertical edges of the road (`Response.before`), and nothing
-interpolates across them. A force that changes at every time step approximates a continuous force. For signals that jump with such
-a force, only the values just after the jumps are used.
+Peaks include the values on both sides of decisions and of vertical edges of the road (`Response.before`). Values are never
+interpolated across a decision or an edge. A force that changes at every time step approximates a continuous force. For signals
+that jump with such a force, only the values just after the jumps are used.
 
 The value of a signal at a sample is the value just after the jump, with the new force u[k]. The value just before is smaller by D
 (u[k] - u[k-1]), where D is the feedthrough matrix of (28). For a semi-active damper, the coefficient c is held while the velocity
@@ -25,7 +25,7 @@ from sim.drive.response import Response
 
 
 def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
-    """Returns the response with the values just before decisions in `before`.
+    """Returns the response, with the values just before decisions added to `before`.
 
     Values at vertical edges of the road are kept.
 

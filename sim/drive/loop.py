@@ -58,7 +58,8 @@ class Block:
         measured: signals at the samples of the controllers, before noise and quantisation, followed by the closing velocities,
             shape (B, N, s); NaN at other time steps.
         names: names of the signals and closing velocities in `measured`, in the order of its last axis.
-        others: signals on the other side of vertical edges of the road, by index of the sample, shape (S, N) each.
+        others: for each sample at a vertical edge of the road, the signals on the other side of the edge, by index of the
+            sample, shape (S, N) each.
     """
 
     start: int
@@ -110,7 +111,7 @@ class Block:
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
-    """Returns the largest useful number of runs in a batch whose road heights fit into memory.
+    """Returns the number of runs to simulate together: `RUNS_AT_ONCE`, or fewer so that their road heights fit into memory.
 
     Args:
         samples: number of samples per run.
@@ -380,7 +381,7 @@ class _Signals:
 
         Args:
             sensed: values of MuJoCo's sensors (`sensordata`), shape (B, nsensordata, N).
-            readings: values to which the map of measurements applies, shape (B, N, w). The last k columns are the states of the
+            readings: values that the matrix from `_map` multiplies, shape (B, N, w). The last k columns are the states of the
                 parts.
             level, midway, before: road heights at the samples, held during the step after each sample, and held during the step
                 before it [m], shape (B, N, r).

@@ -123,7 +123,7 @@ class PartBatch(Batch):
         self._evaluate(self._here, self._begin, 0)
 
     def _evaluate(self, bound: "_Bound", x: "_State", i: int) -> None:
-        """Sets the motors of a batch for the present state x, and computes the rates of stage i."""
+        """Sets the motors of a batch for the present state x, and computes the derivatives of the state in stage i of RK4."""
         d, v = self._lengths(bound, x)
         inputs, z = self._inputs(bound), x.own
         pulls, own = self._pulls(d, v, inputs, z), self._pulls.rates(d, v, inputs, z)
@@ -228,7 +228,7 @@ class _Lengths:
     """Computes the lengths of s tendons in N runs, relative to their lengths in equilibrium.
 
     Attributes:
-        linear: True if the lengths are linear in the positions.
+        linear: True if the lengths are linear functions of the positions.
         steady: True if, in addition, the mass matrix is constant, so that a force always causes the same acceleration.
     """
 

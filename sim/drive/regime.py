@@ -39,7 +39,7 @@ class Threshold:
         signal: name of the signal that is limited.
         sign: 1 for an upper limit, -1 for a lower limit, 0 for a limit of the magnitude.
         value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
-        tyre: names of the hub and road velocities, on which the force of a damping tyre also depends; None if only the
+        tyre: names of the hub and road velocities, on which the force of a tyre with damping also depends; None if only the
             deflection matters.
         part: part whose force beyond its linearisation is limited [N]; None if the signal is limited.
         of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
@@ -62,7 +62,9 @@ class Threshold:
 
 
 def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], Array]:
-    """Returns a function that computes the limited quantity of N runs, shape (..., N); its argument returns a signal by name."""
+    """Returns a function that computes the limited quantity of N runs, shape (..., N), from a function that returns a signal
+    by name.
+    """
     first = limits[0]
     if first.part is not None:
         stack, place = Stack([[one.part.part] for one in limits if one.part is not None]), first.part.place
@@ -87,11 +89,12 @@ class End:
 
     Attributes:
         name: name of this end in tables, maps and JSON output.
-        event: text that a log contains at the first time of this end; empty if the end is not logged.
-        verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports it in another way.
+        event: text of the log entry at the time when this end first occurs; empty if the end is not logged.
+        verdict: sentence about this end in a verdict, with the time `when` [s]; empty if the verdict reports this end in
+            another way.
         color: colour of this end in a map, on a light background.
         marker: shape and colour of the marker on plots with a dark background. The names of the shapes are those of Rerun. No
-            line has this colour.
+            line in a plot has this colour.
         thresholds: function that returns the thresholds of a vehicle; an empty list if the vehicle has no such limit.
         exact: True if the exact sampled response remains valid after this end, because only the linearity ends.
     """
@@ -130,7 +133,7 @@ def _either_way(
 
 
 def _of_parts(end: str) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that gives the thresholds at which a vehicle's parts reach a given end."""
+    """Returns a function that gives the thresholds at which a vehicle's parts reach a given end of the linear regime."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         found = []
@@ -231,8 +234,8 @@ LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law 
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
     """Returns the fraction of the distance to the command that a lagging force covers in a step, and the sample period [s].
 
-    For a predicted response, the fraction is exact. For a simulated response, it is that of an RK4 step. The fraction is 0 if
-    there is no lag. `timestep` is 0 if the response has a single sample.
+    For a predicted response, the fraction is exact. For a simulated response, the fraction is that of an RK4 step. The fraction
+    is 0 if there is no lag. `timestep` is 0 if the response has a single sample.
     """
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     way = float(-np.expm1(-z)) if predicted else way_in_step(z)
@@ -260,15 +263,16 @@ class EndDetector:
     """Detector of the first time at which each of N runs reaches each of `REGIME_ENDS`, for whole signals or block by block.
 
     MuJoCo measures a tyre as a length, which is never below zero. If a road rises past a hub within a step, the measurement
-    shows a long tyre below a hub that has jumped. A tyre therefore also counts as flat if its hub has jumped and the road is
-    above the hub's extrapolated position.
+    shows a long tyre below a hub that has jumped. A tyre therefore also counts as fully compressed if its hub has jumped and
+    the road is above the hub's extrapolated position.
 
-    A damping tyre loses contact when its total force becomes zero, which its equivalent deflection shows
+    A tyre with damping loses contact when its total force becomes zero; the equivalent deflection of the tyre shows this
     (`models/kinds/strut_and_tyre.py`).
 
     Anti-windup and limits of commands act from the first sample at which the demand on an actuator is clipped. With
     a lag, this happens before the force reaches its limit. The demand is computed from the forces at both ends of a step, and
-    its clipping counts as saturation. The rates of commands, which a rate limit limits, are computed in the same way.
+    clipping of the demand counts as saturation. The rates of commands, which are compared with the rate limit, are computed in
+    the same way.
 
     Attributes:
         times: first time of each end [s], shape (N, E); infinity if the end is not reached.
@@ -346,11 +350,11 @@ class EndDetector:
         """Records the largest value of each run, and the first sample that reaches a limit.
 
         Args:
-            end: index of the end.
+            end: index of the end of the linear regime, in the order of `REGIME_ENDS`.
             start: index of the first sample.
             towards: values of the limited quantity, with a sign such that the limit is an upper limit, shape (B, N).
             limit: value of the limit in each run, shape (N,).
-            at: fraction of its value at which the limit counts as reached.
+            at: fraction of the limit at which the limit already counts as reached.
         """
         largest = np.fmax.reduce(towards, axis=0, initial=0.0)
         self.shares[:, end] = np.maximum(self.shares[:, end], largest / limit)
@@ -360,7 +364,9 @@ class EndDetector:
 
     @np.errstate(over="ignore", invalid="ignore")  # signals of runs that have diverged may overflow
     def _demands(self, signal: int, values: Array) -> Array:
-        """Returns the forces requested from lagging actuators [N], without the last sample; 0 if clipping does not count."""
+        """Returns the forces requested from lagging actuators [N], without the last sample; 0 if clipped requests do not end
+        the linear regime.
+        """
         forces = values[:, signal]
         forces = np.concatenate([self.forces[signal], forces]) if signal in self.forces else forces
         self.forces[signal] = forces[-1:].copy()

@@ -33,7 +33,7 @@ def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> A
     """Returns for each signal the largest size of all signals with the same unit, shape (..., p).
 
     Symmetry may keep all angles at zero, for example the roll of a half-car in the roll plane over a bump under both tracks.
-    For angles, the size of displacements is then used, which corresponds to a distance of 1 m.
+    For angles, the size of displacements is then used, as if each angle were a displacement at a distance of 1 m.
 
     Args:
         sizes: size of each of p signals, for example its peak, shape (..., p).
@@ -56,11 +56,11 @@ class Response(ShownResult):
         time: sample times [s], shape (T,).
         signals: the S signals, with their units, in the order of the last axis of `values`.
         values: values of the signals, shape (..., T, S). Leading axes are runs.
-        before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name of
-            the signal, shape (..., T) each. Only signals that jump are included.
+        before: values just before decisions (`sim.drive.jumps`), and values on the other side of each vertical edge of the
+            road, by name of the signal, shape (..., T) each. Only signals that jump are included.
 
     Raises:
-        InputError: the shapes do not fit one another.
+        InputError: the shapes of the arrays are inconsistent.
     """
 
     time: Array
@@ -125,7 +125,8 @@ class Response(ShownResult):
         """Adds the values on the other side of vertical edges to `before`.
 
         Args:
-            others: values of all signals on the other side of the edges, shape (..., S) each, by index of the sample.
+            others: values of all signals on the other side of each edge, shape (..., S) each, by index of the sample at the
+                edge.
         """
         before = dict(self.before)
         for i, name in enumerate(self.names):
@@ -239,13 +240,14 @@ class Response(ShownResult):
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
-    """Returns the difference from the sampled response, relative to its peaks. The verdict uses the largest value.
+    """Returns the difference from the sampled response over time, relative to its peaks. The verdict uses the largest of these
+    differences.
 
     Args:
-        sampled: exact sampled response, at the same sample times as this simulated response.
+        sampled: exact sampled response, at the same sample times as the simulated response.
 
     Returns:
-        Largest difference of each signal of the vehicle, by name. The road signals are omitted, because they are inputs of both
+        Difference of each signal of the vehicle over time. The road signals are omitted, because they are inputs of both
         responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))

@@ -48,10 +48,10 @@ class Readout:
     A signal is the value of its sensor along the sensor's `user` direction, minus the value in equilibrium.
 
     Attributes:
-        names: names of the S signals. The last k are the states of the vehicle's parts.
+        names: names of the S signals. The last k signals are the states of the vehicle's parts.
         stage: mjtStage to which MuJoCo must be evaluated for the sensor of each signal, shape (S,).
         linear: True for signals that are linear in (qpos, qvel), shape (S,). Linear signals are computed from the state before
-            a step. Evaluating their sensors would take a seventh of the time of the step.
+            a step. Evaluating the sensors of these signals would take a seventh of the time of a step.
         of_state: matrix that maps (qpos, qvel) to linear signals, shape (S, nq + nv).
         of_sensors: matrix that maps MuJoCo's `sensordata` to signals, shape (S, nsensordata).
         of_parts: matrix that maps the states of parts to signals, shape (S, k).
@@ -198,7 +198,7 @@ def sensed_stage(readout: Readout, used: Array) -> int:
     """Returns the mjtStage to which sensors must be evaluated before a step.
 
     Args:
-        readout: maps to the signals.
+        readout: matrices that map MuJoCo's state and sensors to signals.
         used: True for each signal that is needed, shape (S,).
     """
     return int(max(readout.stage[used & ~readout.linear], default=0))
@@ -209,9 +209,10 @@ def beside_reading(road: Array, readout: Readout, some: Sequence[int], linear: b
 
     Args:
         road: road heights whose contribution is not yet included [m], shape (T, N, r).
-        readout: maps to the signals.
+        readout: matrices that map MuJoCo's state and sensors to signals.
         some: indices of the s signals.
-        linear: True for the signals computed from the state, False for those computed from sensors. The other signals are 0.
+        linear: True for the signals computed from the state, False for those computed from sensors. The result is 0 for all
+            other signals.
     """
     beside = np.zeros((*road.shape[:2], len(some)))
     for i, s in enumerate(some):

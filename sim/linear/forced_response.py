@@ -22,11 +22,11 @@ from synth.plant.loop import HoldInterval, Loop, respond
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response from equilibrium to given forces and to the road as MuJoCo holds it over each step.
+    """Returns the response, from equilibrium, to known forces and to the road, both held over each step as in MuJoCo.
 
     Args:
         forces: requested forces at every sample [N], shape (T, m).
-        road: road, with its vehicle.
+        road: road to drive over, with the vehicle that drives over it.
         exponential: function for the matrix exponential. `taylor4` predicts RK4 up to rounding. With characteristics, the
             response is always computed by RK4.
     """

@@ -4,10 +4,10 @@ A road z_r(t) = Z exp(j omega t) under the wheels has the velocity W = j omega Z
 time, Z and W act on the loop of `synth/controller/loop_of.py`.
 
 In the sampled loop, the road is Z exp(j omega t_k) at the samples. Over each step, the road is held at the height at mid-step,
-which is exp(j omega h/2) times as large. If tyres have damping, the mean road velocity over the step is also held. The control
-force is also held over each step. At the samples, the response to a sinusoid is then exactly a sinusoid. If the sample period
-of the controller is several steps, other frequencies appear. The frequency response then contains only the component at omega,
-computed over all steps of a period.
+which is exp(j omega h/2) times the height at the sample. If tyres have damping, the mean road velocity over the step is also
+held. The control force is also held over each step. At the samples, the response to a sinusoid is then exactly a sinusoid. If
+the sample period of the controller is several steps, the response also contains other frequencies. The frequency response then
+contains only the component at omega, computed over all steps of a period.
 
 Preview adds to the requested forces the sum of the weights times exp(j omega i T) over the coming samples i, at intervals T. In
 continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s.
@@ -64,8 +64,8 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: time step h [s].
         exponential: function for the matrix exponential; `taylor4` predicts RK4.
-        pulls: names of e deflections along which additional forces act. If given, the responses to these forces, per newton,
-            are appended, and the shape is (F, p, r + e).
+        pulls: names of e deflections along which additional forces act. If names are given, the responses to these forces, per
+            newton, are appended, and the shape is (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -82,9 +82,9 @@ def stepwise_frequency_response(
     Arguments as for `sampled_frequency_response`.
 
     Returns:
-        The values, complex, shape (steps + 1, F, p, r + e). The last value is the first of the next period. The second array
-        contains the jumps of the outputs when the next held force begins, shape (steps, F, p, r + e). Outputs behind a lag do
-        not jump.
+        Complex responses at every time step, shape (steps + 1, F, p, r + e). The last value is the value at the start of the
+        next period. The second array contains the jumps of the outputs when the next held force begins, shape (steps, F, p, r +
+        e). Outputs behind a lag do not jump.
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, linalg.expm, pulls)
     return stepwise_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
@@ -163,14 +163,14 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
 
 
 def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
-    """Returns the largest gain from the road under the wheels to z, and its frequency.
+    """Returns the largest gain from the road under the wheels to z, and the frequency of this gain.
 
     By Parseval's theorem, this gain is the largest L2 gain for all roads whose frequencies are below `highest`. With one wheel,
     this gain is the H-infinity norm.
 
     Args:
-        response: function of angular frequencies [rad/s], shape (F,), that returns the frequency response at these, shape (F,
-            p, r).
+        response: function of angular frequencies [rad/s], shape (F,), that returns the frequency response at these frequencies,
+            shape (F, p, r).
         highest: upper end of the search [rad/s]: the Nyquist frequency pi / h.
         speed: forward speed [m/s].
     """

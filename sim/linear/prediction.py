@@ -52,8 +52,8 @@ class Prediction:
     def sampled(self) -> Response:
         """Response of the sampled loop.
 
-        The response is exact if the loop is linear. With characteristics, it is computed by RK4. If a law sets semi-active
-        dampers, the loop is not linear, and all values are NaN.
+        The response is exact if the loop is linear. With characteristics, the response is computed by RK4. If a law sets
+        semi-active dampers, the loop is not linear, and all values are NaN.
         """
         return self._sampled[0]
 

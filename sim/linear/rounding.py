@@ -3,7 +3,7 @@
 Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a relative rounding error of 1e-16, and
 large forces balance the weight of the vehicle. The error of a signal is therefore the same for a bump of a decimetre and a bump
 of a micrometre. The error model assumes that each state that is a length has an error of a few rounding errors. Each velocity
-has this error times the vehicle's fastest rate. The linear model gives the effect on the outputs.
+has this error times the vehicle's fastest rate. The linear model gives the effect of these errors on the outputs.
 """
 
 import numpy as np

@@ -22,10 +22,10 @@ Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Ove
 The integral is computed by Gauss-Legendre quadrature with 8 nodes, which is exact up to rounding errors for a smooth road. A step
 with a kink of the road is divided at the kink.
 
-Preview. The forces from the road ahead are added to those of the gain. In the sampled loop, the preview forces are known sums
-over the road heights. In the continuous loop, the preview forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d =
-Bp z_r' + Hp z_r, which decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. In the equation for y =
-x - P g, only the road remains on the right-hand side, and g is computed separately:
+Preview. The forces from the road ahead are added to the forces of the gain. In the sampled loop, the preview forces are known
+sums over the road heights. In the continuous loop, the preview forces are Cp g with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and
+d = Bp z_r' + Hp z_r; g decays backwards in time. P solves the Sylvester equation A_G P + P Ap + B Cp = 0. In the equation for
+y = x - P g, only the road remains on the right-hand side, and g is computed separately:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
 """
@@ -74,7 +74,7 @@ def sampled_response(controller: Controller, road: RoadInput, exponential: Calla
 
     Args:
         controller: linear controller of the vehicle that drives over the road.
-        road: road, with its vehicle.
+        road: road to drive over, with the vehicle that drives over it.
         exponential: function for the matrix exponential; `taylor4` predicts RK4 up to rounding.
     """
     return with_linear_sides(sampled_responses(controller, [road], exponential).run(0), road, True)
@@ -99,7 +99,9 @@ def sampled_responses(
 
 
 def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
-    """Returns the inputs of a vehicle over N roads by the names of a sampled `loop_of`, shape (N, T) each."""
+    """Returns the inputs of a vehicle over N roads, by the input names of a sampled-data loop from `loop_of`, shape (N, T)
+    each.
+    """
     model = roads[0].vehicle.linear_model
     groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
     if any(road.has_held_inputs for road in roads):
@@ -263,7 +265,7 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
 
 
 def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
-    """Returns the integral of push(t) in x' = A x + push(t) over the step from each given time, shape (T, n).
+    """Returns the integral of push(t) in x' = A x + push(t) over the step that begins at each of the times, shape (T, n).
 
     Args:
         A: system matrix of the differential equation, shape (n, n).
@@ -312,7 +314,7 @@ CHEBYSHEV = 16  # number of nodes of the Chebyshev polynomial, whose degree is o
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
-    """Returns the steps with a kink among those from the given times; for each step, its start, its kinks and its end [s]."""
+    """Returns the steps that contain a kink: for each step, its index, and a list of its start, its kinks and its end [s]."""
     found = []
     for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():
         if 0 <= k < len(time):

@@ -152,7 +152,9 @@ class Stepper:
         return (y[..., :s], y[..., s : 2 * s], inputs, y[..., end:last] if self._own else None), y[..., last:]
 
     def _pulls(self, at: tuple[Array, Array, Array, Any], free: Array) -> Array:
-        """Returns the suspension forces, including those of inertial parts [N], shape (..., N, s); arguments from `_at`."""
+        """Returns the suspension forces, including those of inertial parts [N], shape (..., N, s); the arguments are those that
+        `_at` returns.
+        """
         f = self._forces(*at)
         if not len(self._response):
             return f
@@ -249,8 +251,8 @@ class _Laws:
 
         Args:
             sample: index of the sample, from 0.
-            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. The given inputs are those that
-                have acted until the sample.
+            xi, inputs, pulls: states, inputs and suspension forces of the vehicle at the sample. `inputs` contains the inputs
+                that have acted until the sample.
             law_states: states of the laws before the sample, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]
@@ -299,8 +301,8 @@ class SteppedRuns:
     def finer(self) -> Response:
         """Response without the estimated error of RK4.
 
-        The error of a step follows from two steps of half its length, which are computed for all steps together. The error then
-        propagates as in the linear model without the controller.
+        The error of a step is estimated from two steps of half its length, which are computed for all steps together. The error
+        then propagates as in the linear model without the controller.
         """
         h, model = self.inputs[0].timestep, self.steps.model
         half = Stepper(self.inputs[0].vehicle, h / 2)

@@ -11,7 +11,7 @@ If both checks hold, the trajectory is a solution of the equations and the law. 
 result, not an error. Its causes are the integrator, geometry, noise, or an event that ends the linear regime.
 
 Linear analysis applies to such a run because the equations are linear, or nearly linear, until this event. `LinearComparison`
-computes the difference only if it is needed. The verdict does not need it.
+computes the difference only if it is needed. The verdict does not need this difference.
 
 A vehicle type with rotating bodies but without equations of motion is checked to first order. The run is repeated on the same
 road with its height multiplied by `SMALL`. The relative difference from the linear response must then be smaller by the factor
@@ -60,9 +60,9 @@ class SignalAgreement:
         sampled: largest difference from the exact sampled response, relative to the peak of this response; NaN if this response
             does not exist.
         continuous: largest difference from the response of the continuous closed loop, relative to its peak. The difference
-            includes the effect of holding the force over a step. NaN if there is no such response.
+            includes the effect of holding the force over a step. NaN if this response does not exist.
         allowed: bound on `sampled` due to the error of RK4 and rounding; NaN if the difference has no bound.
-        scale: value to which the differences are relative [unit of the signal].
+        scale: value by which the differences are divided [unit of the signal].
         small: value of `sampled` for the same road with its height multiplied by `SMALL`; None if it was not needed.
     """
 
@@ -74,7 +74,9 @@ class SignalAgreement:
 
     @property
     def excess(self) -> float:
-        """Difference divided by the allowed value. If the run was repeated on a lower road (`SMALL`), that difference counts."""
+        """Difference divided by the allowed value. If the run was repeated on a lower road (`SMALL`), the difference on the
+        lower road counts.
+        """
         if self.small is None:
             return self.sampled / self.allowed
         return self.small / (SLACK * SMALL * self.sampled + self.allowed)
@@ -169,7 +171,7 @@ class Agreement(LinearComparison, ShownResult):
             equations.
         commands: comparison of the commands with the control law; None if the law is unknown, as in the log of a Python control
             law.
-        code_effect: difference between exported code and the law, which must be small; None if there is no exported code.
+        code_effect: effect of exported code on the run, which must be small; None if there is no exported code.
     """
 
     lift_off: tuple[tuple[float, float], ...] = ()
@@ -209,7 +211,7 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
     Args:
         prediction: linear responses of the run.
         recording: recording of the run.
-        code_effect: difference between exported code and the law; None if there is no exported code.
+        code_effect: effect of exported code on the run; None if there is no exported code.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
@@ -242,7 +244,9 @@ def _passes_through(vehicle: Vehicle, physics: Response) -> bool:
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals in which any tyre is off the ground, each as first and last sample [s], in order of their starts."""
+    """Returns the intervals in which any tyre is off the ground, each as the times of its first and last sample [s], in order
+    of their starts.
+    """
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
         off = np.concatenate([[False], limit.towards(limit.of(physics)) >= AT * limit.value, [False]])
@@ -252,10 +256,11 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def first_loose(met: RoadInput, physics: Response) -> float:
-    """Returns the first sample before which a tyre may have been off the ground within a step [s], or infinity.
+    """Returns the time of the first sample before which a tyre may have been off the ground within a step [s], or infinity.
 
     MuJoCo holds the road at one height over a step. Within the step, a tyre may therefore be shorter or longer than at the
-    samples. The second difference of a hub's path bounds its curvature within a step, as the stages of RK4 evaluate it.
+    samples. The second difference of a hub's path bounds the curvature of the path within a step, as evaluated by the stages of
+    RK4.
     """
     vehicle, first, physics = met.vehicle, np.inf, from_steady(met, physics)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -274,7 +279,9 @@ def first_loose(met: RoadInput, physics: Response) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Returns the largest difference over time, relative to the reference's scale; 0 if nothing moves, NaN if none exists."""
+    """Returns the largest difference over time, relative to the reference's scale; 0 if nothing moves, NaN if the reference is
+    NaN.
+    """
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))

@@ -32,11 +32,11 @@ def run(
 
     Args:
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
-            necessary. A function is also a control law. law(t, y) receives the time [s] and the q measurements, shape (q,). The
-            function returns the force [N], a number or an array of shape (m,). A function law(sample, state) returns the force
-            and the next state, as in a file. The function measures the signals in its attribute `measured` or, by default, all
-            measurable signals. An object with the methods of `sim.Driver` is also a control law. For a single controller, the
-            result is a list with one run.
+            necessary. A function can also be used as a control law. law(t, y) receives the time [s] and the q measurements,
+            shape (q,). The function returns the force [N], a number or an array of shape (m,). A function law(sample, state)
+            returns the force and the next state, like a law in a Python file. The function measures the signals in its
+            attribute `measured` or, by default, all measurable signals. An object with the methods of `sim.Driver` can also be
+            used as a control law. For a single controller, the result is a list with one run.
         road: road to drive over, for example `models.Bump(height=0.1)`.
         duration: duration of the run [s].
         timestep: time step of MuJoCo [s]. The time step is also the sample period of the controllers if the vehicle file does

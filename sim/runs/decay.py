@@ -52,7 +52,7 @@ class Mode:
 
 
 def is_free(run: RunResult) -> bool:
-    """Returns True if a run begins from a given start, on a flat road and without loads."""
+    """Returns True if a run begins from specified deflections and velocities, on a flat road and without loads."""
     on = run.prediction.input
     return bool(run.vehicle.start) and not on.heights.any() and not on.loaded
 

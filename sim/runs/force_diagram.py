@@ -25,9 +25,9 @@ class Line:
     """Line in a force diagram: a characteristic or a limit.
 
     Attributes:
-        signal: name of the log signal that contains the force of this line at the actual argument.
+        signal: name of the log signal that contains the force of this line for the argument in the run.
         label, dash, width: label and style of the line.
-        force: function that returns the force of this line [N] at given arguments.
+        force: function that returns the force of this line [N] for an array of arguments.
     """
 
     signal: Signal
@@ -39,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Diagram:
-    """Diagram of a force over its argument.
+    """Diagram of a force over the velocity or deflection on which it depends (its argument).
 
     Attributes:
         title: title with the name of the parameter and its place.

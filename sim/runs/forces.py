@@ -60,7 +60,7 @@ def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
     """Reads forces [N], shape (T, m), from a text.
 
     Raises:
-        InputError: the text contains other forces, or another number of samples.
+        InputError: the text contains forces with other names, or another number of samples than expected.
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:

@@ -50,7 +50,7 @@ def _shortfall(run: RunResult) -> dict[str, Any]:
 
 
 def _decay(run: RunResult) -> dict[str, Any]:
-    """Returns, as JSON, the modes of a free decay; empty if the run does not start from a given state."""
+    """Returns, as JSON, the modes of a free decay; empty if the vehicle starts in equilibrium."""
     if not run.vehicle.start:
         return {}
     return FEATURES.load("decay").record(run)

@@ -1,4 +1,5 @@
-"""Reports on runs: documents, and the events that logs contain. Only text and pages need this module; JSON is in `record`.
+"""Reports on runs: documents, and the events that logs contain. Only text and pages need this module; the module `record`
+produces JSON.
 
 `describe_run` describes the verdict on a run and its reasons in sentences. Commands, reports, logs and inspections print these
 sentences.
@@ -429,7 +430,7 @@ def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns the table of all signals: peak and rms in MuJoCo, changes from the passive vehicle, and errors of linear analysis.
 
-    Peak and rms are those of the whole run. Errors are measured as long as linear analysis applies, relative to the peak.
+    Peak and rms refer to the whole run. Errors are measured as long as linear analysis applies, relative to the peak.
     Pages and logs also contain peak and rms of the linear responses.
     """
     rows, on = [], run.prediction.input

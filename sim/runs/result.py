@@ -48,7 +48,7 @@ class RunResult:
         prediction: linear responses of the run, for its vehicle, controller and road.
         physics: response simulated by MuJoCo.
         agreement: comparison of the simulation with analysis.
-        qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None for a run without its energy balance.
+        qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None if the energy balance is not computed.
         energy: energy balance of the run; None if it is not computed.
         half_step: accuracy of the simulation after a lift-off; None if no tyre lifted off, or if the run became invalid. With
             noisy or quantised measurements, the value is also None, because noise and quantisation depend on the time step.
@@ -100,8 +100,9 @@ class RunResult:
     def line_errors(self) -> Mapping[str, float]:
         """Largest difference between the linearisation at equilibrium and MuJoCo, relative to MuJoCo's peak, by signal.
 
-        The difference is measured until the linear regime ends for another reason. The mapping is empty for a vehicle without
-        characteristics, or without a sampled response. States of parts with a kink at equilibrium are omitted.
+        The difference is measured up to `agreement.until`, the time until which linear analysis applies. The mapping is empty
+        for a vehicle without characteristics, or without a sampled response. States of parts with a kink at equilibrium are
+        omitted.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}

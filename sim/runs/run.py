@@ -199,7 +199,7 @@ def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Record
 
 
 def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:
-    """Adds positions, the energy balance and, after a lift-off, the change at half the time step to runs.
+    """Adds to runs: the positions, the energy balance and, after a lift-off, the change of the response at half the time step.
 
     A run with an unusually large residual in its energy balance is also repeated at half the time step. If the run is noisy,
     its commands are repeated.
@@ -232,10 +232,12 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
 def _simulate_predictions(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> list[Recording]:
-    """Simulates the runs of predictions; on request, with changed vehicles or with the road height multiplied by a share.
+    """Simulates the runs of predictions; on request, with changed vehicles or with the road height multiplied by the factor
+    `share`.
 
-    Vehicles and roads that runs share remain shared. The commands of a Python control law, or of a noisy run, are repeated.
-    If the road height is multiplied by a share, the repeated forces are multiplied by the same share.
+    Runs that share a vehicle or a road still share it after the changes. The commands of a Python control law, or of a noisy
+    run, are repeated. If the road height is multiplied by the factor `share`, the repeated forces are multiplied by the same
+    factor.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}

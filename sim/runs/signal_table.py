@@ -18,7 +18,7 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
 
     Args:
         name: name of the run, usually that of its controller.
-        responses: responses by source, for example "mujoco", with the same samples from 0.
+        responses: responses by source, for example "mujoco", all at the same sample times, which start at 0.
     """
     for signal in dict.fromkeys(signal for response in responses.values() for signal in response.signals):
         for source, response in responses.items():
@@ -33,7 +33,8 @@ def write_runs(path: Path, runs: Sequence[RunResult]) -> None:
 
 
 def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
-    """Writes columns over time. Cells without a finite number, and cells after the end of a column, are empty.
+    """Writes columns of numbers over time to a CSV file. Cells without a finite number, and cells after the end of a column,
+    are empty.
 
     Args:
         path: path of the file. The file is written under a temporary name, and renamed to `path` when it is complete.

@@ -41,7 +41,7 @@ TIME = Field[Touch]("time", lambda one: one.time, WHEN.form, key="time", unit="s
 def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns the deepest simulated contact with each stop, by deflection and side; None if there was no contact.
 
-    Only the part of a run before it becomes invalid is considered.
+    Only the part of a run before the run becomes invalid is considered.
     """
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}

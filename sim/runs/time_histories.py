@@ -1,4 +1,4 @@
-"""Plots of signals over time. Lines show analysis, and points MuJoCo; after the linear regime, lines show MuJoCo."""
+"""Plots of signals over time. Lines show analysis, and points show MuJoCo; after the linear regime, lines show MuJoCo."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ class _Trace:
 
     @property
     def until(self) -> float:
-        """End of the linear regime [s]."""
+        """Time at which the linear regime ends [s]."""
         return self.run.agreement.until
 
     @property
@@ -61,8 +61,8 @@ class _Trace:
     def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
         """Returns lines, and points at about every `every`-th sample, until the signal leaves the axis.
 
-        The line shows the linear response until the linear regime ends, and the simulation after that. A thin line continues
-        the linear response.
+        The line shows the linear response until the linear regime ends, and the simulation after that. After the linear regime,
+        a thin line continues the linear response.
         """
         who, curves = self.run.controller.name, []
         line, physics = (response.until(np.nextafter(left, math.inf)) for response in (self.line, self.physics))
@@ -86,7 +86,7 @@ class _Trace:
 
 
 def _line(time: Array, values: Array, style: Style, width: float, label: str, name: str) -> Curve:
-    """Returns a line with about `OF_LINE` points at most, which contains all peaks."""
+    """Returns a line with at most about `OF_LINE` points, which include all peaks."""
     some = drawn_indices(values, -(-len(time) // OF_LINE))
     return Curve(time[some], values[some], label, style.color, style.dash, width=width, name=name)
 
@@ -159,7 +159,7 @@ def _end(runs: Sequence[RunResult]) -> float:
 
 
 def _weighted_signals(runs: Sequence[RunResult]) -> dict[str, Signal]:
-    """Returns the signals that a vehicle of the runs weights, by name."""
+    """Returns, by name, the signals that have a weight in a vehicle of the runs."""
     vehicles = [run.vehicle for run in runs]
     return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
 
@@ -261,7 +261,8 @@ def _least(runs: Sequence[RunResult]) -> str:
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:
-    """Returns the values that an axis must contain: all bounded values, and other values up to three times their range.
+    """Returns the values that an axis must contain. Values of unbounded runs are clipped to three times the range of the bounded
+    runs.
 
     If no run is bounded, the values of the linear regime are used instead.
     """

@@ -40,7 +40,8 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
         name: name of the controller's section in the vehicle file.
         measured: names of the q measured signals y; empty for `passive`.
         law: control law from y to the m forces; a static law is u = K y.
-        designed: True if Roadproof designed the controller; False if the law was given, or is zero (as for `passive`).
+        designed: True if Roadproof designed the controller; False if the user supplied the law, or if the law is zero (as for
+            `passive`).
         steps: result of the two-step method that produced the gain; None for other controllers.
         redundant: names of measured signals that are linear combinations of other measured signals; their gains are zero.
         certificate: certificate of the closed loop.
@@ -49,7 +50,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
             text; else empty.
         remarks: additional notes. If the two steps did not design the law, these notes give the law's gap to the optimum, or
             its objective.
-        false_claims: descriptions of those claims of a given certificate that do not hold.
+        false_claims: descriptions of the claims that the vehicle file makes about the controller and that do not hold.
         hardware: sensor noise, actuator lag and loads that the certificate takes into account.
         sampled: True if the controller was designed for the sampled-data loop. The certificate still describes the ideal loop.
         specifications: specifications of the design or of its evaluation, in addition to the H-infinity norm.
@@ -231,7 +232,9 @@ else:
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
-    """Returns True if a run is linear until a limit is reached: for a linear law that acts on no adjustable dampers."""
+    """Returns True if a run is linear until a limit is reached, because the law is linear and does not act on semi-active
+    dampers.
+    """
     return controller.linear is True and not (vehicle.dampers and controller.acts)
 
 
@@ -259,7 +262,7 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
 
     Args:
         controller: controller to check.
-        what: text that tells where the controller is used; the error message contains this text.
+        what: text that states where the controller is used; the error message contains this text.
 
     Raises:
         InputError: the controller has a preview.
@@ -272,7 +275,7 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
 
 
 def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-    """Recomputes the certificate of a law from the proofs in its record.
+    """Recomputes the certificate of a law from the proofs in the vehicle file.
 
     Args:
         problem: control problem with which the controller is evaluated.
@@ -296,7 +299,7 @@ def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate
 
 
 def certify_law(problem: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
-    """Certifies a law with a given lower bound.
+    """Certifies a law with a lower bound that is already known.
 
     For the other arguments and the return values, see `verify_record`.
 

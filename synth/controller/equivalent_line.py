@@ -109,7 +109,9 @@ def equivalent_line(
 
 
 def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of nonlinear elements without a characteristic, because the force depends on more than one signal."""
+    """Returns the names of the nonlinear elements that have no characteristic, because their forces depend on more than one
+    signal.
+    """
     bent = (
         one
         for one in vehicle.parts

@@ -116,7 +116,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
     Returns a description of the claim if the claim is false, otherwise an empty tuple.
 
-    The discrete plant of the claimed level is computed again, and the dual solution is checked for this plant.
+    The discrete plant that belongs to the claimed bound is computed again, and the dual solution is checked for this plant.
 
     Raises:
         InputError: the proof is malformed.

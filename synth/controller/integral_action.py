@@ -24,7 +24,8 @@ RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if it is smaller
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
-    """Converts a law on [y; integrals of S y] to a law on the measurements y. The integrals become its first states.
+    """Converts a law on [y; integrals of S y] to a law on the measurements y. The integrals become the first states of the
+    converted law.
 
     Args:
         law: law on the q measurements and j integrals.
@@ -44,7 +45,8 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
         integrated: matrix S, shape (j, q); None if there are no integrals.
 
     Returns:
-        For each row of S that the law integrates, the index of the state of the law, and the ratio of this state to the integral.
+        For each row of S whose integral the law contains: the index of the law's state that holds this integral, and the ratio
+        of this state to the integral.
     """
     states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):

@@ -207,7 +207,7 @@ def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def _growth(loop: StateSpace, factors: Array) -> Array:
-    """Returns the growth rate of the loop [1/s] for each of the factors that multiply all forces.
+    """Returns the growth rate of the loop [1/s] for each of several factors by which all forces are multiplied.
 
     The rate is infinite for all factors beyond the factor at which the algebraic loop has no solution.
     """

@@ -10,8 +10,8 @@ height jumps:
 
 where z_m is the road height in the middle of a step (`.midway`), and z_r is the road height at the sample (`.height`). The
 vector f (`.held`) contains the loads and, with tyre damping, the mean road velocities, which are held over a step. The same
-quantities are inputs of the signals as f_s (`.signal`), and of the measurements as f_r (`.read`). Measurements also contain
-noise (`.noise`).
+quantities act on the signals as f_s (`.signal`), and on the measurements as f_r (`.read`). Measurements also contain noise
+(`.noise`).
 
 The outputs are the signals of the vehicle, the measurements (`body_acceleration.read`) and the commanded forces of the
 actuators (`.held`).

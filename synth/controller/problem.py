@@ -92,8 +92,8 @@ class Problem:
     Attributes:
         plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are the loads, followed
             by the measurement noises.
-        forces: measured forces without lag, which do not depend on the state: index of each such measurement, with the index of
-            its input.
+        forces: measured forces without lag, which do not depend on the state; for each of them, the index of the measurement
+            and the index of its input.
         integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
             last j measurements. None if no integral is measured.
         integrals: indices of the states of the plant that are integrals.
@@ -136,7 +136,7 @@ class Problem:
         return judged.plant, judged.G
 
     def on_readings(self, law: LinearLaw) -> LinearLaw:
-        """Converts a law on measurements and measured integrals to a law on the measurements alone.
+        """Converts a law on measurements and measured integrals to a law on the measurements only.
 
         The integrals become the first states of the law.
         """
@@ -286,7 +286,9 @@ def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, M
 
 
 def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
-    """Returns the effects of loads on states and outputs, shapes (n, l) and (p, l), scaled so that a load counts as w = 1 m/s."""
+    """Returns the effects of loads on states and outputs, shapes (n, l) and (p, l), scaled so that the specified value of each
+    load counts as w = 1 m/s.
+    """
     some, scale = [model.loads.index(name) for name, _ in loads], np.array([value for _, value in loads])
     return model.Bl[:, some] * scale, model.Dl[:, some] * scale
 
@@ -422,7 +424,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 
     Args:
         vehicle: vehicle of the plant.
-        signals: names of the q measured signals, in the order of the rows.
+        signals: names of the q measured signals, in the order of the rows of C_y.
         bandwidth: corner frequency of the actuator lag, as in `generalized_plant` [rad/s]. With lag, the feedthrough is zero.
 
     Raises:
@@ -447,7 +449,8 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
 
 
 def road_twist_inputs(model: LinearModel) -> Array:
-    """Returns the road warps, which are combinations of the road heights under r wheels whose constant values affect the vehicle.
+    """Returns the road warps: the combinations of the road heights under r wheels that affect the vehicle even if they are
+    constant.
 
     The k rows are orthonormal, shape (k, r).
     """

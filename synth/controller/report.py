@@ -112,7 +112,8 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
 
 
 def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns the failures of the certificate to ignore: instability of the continuous loop if the sampled-data loop is stable.
+    """Returns the failures of the certificate that are ignored: instability of the continuous loop if the sampled-data loop is
+    stable.
 
     If the vehicle file describes an implementation, only the stability of the sampled-data loop counts, because this loop runs
     in the vehicle.

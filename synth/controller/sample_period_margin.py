@@ -1,6 +1,6 @@
 """Sample-period margin: the shortest sample period at which a loop is unstable.
 
-One copy of the law computes the forces at which the loop is cut, in discrete time. Another copy computes the other forces in
+One copy of the law computes the forces at which the loop is cut, in discrete time. A second copy computes the other forces in
 continuous time. Each copy contains only the states of the law on which its forces depend.
 """
 
@@ -32,7 +32,8 @@ LONGEST = 100.0  # longest sample period that is tested if the vehicle does not 
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces must be sampled: all are cut, some are measured, or two copies of the law would diverge.
+    """Returns True if all forces must be sampled, because all are cut, some are measured, or two copies of the law would
+    diverge.
 
     Two copies diverge from each other if both have a mode that does not decay, such as an integrator, because no measurement
     contains their difference.
@@ -185,7 +186,8 @@ def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
 
 
 def _products(transitions: Array) -> Array:
-    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues z; infinite if a power of the matrix contracts.
+    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues z; infinite if a power of the matrix has a norm
+    below 1, so that the loop is stable.
 
     The product is minus infinity if an eigenvalue is outside the unit circle, and NaN if entries are not finite.
     """

@@ -14,8 +14,8 @@ w) is 1 at some frequency w. The margins are not read from a frequency grid. Let
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.
 
-If D is not zero, the problems contain additional matrices, and a fine grid gives the candidates for phase lags. All candidates
-are then refined by means of the poles of the closed loop.
+If D is not zero, the eigenvalue problems contain additional matrices, and the candidates for phase lags are found on a fine
+grid. All candidates are then refined by means of the poles of the closed loop.
 """
 
 import itertools
@@ -166,9 +166,9 @@ def bilinear(cut: StateSpace) -> StateSpace:
 def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
     """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
-    If `tried` is given, only the intervals between these factors are searched, shape (K,). If the loop has a feedthrough, the
-    factor at which its spectral radius reaches 1 is also a limit: beyond it, any delay makes the loop unstable. If this factor is
-    below 1, the loop itself is only theoretical, and factors beyond it are returned, too.
+    If `tried` is given, with shape (K,), only the intervals between these K factors are searched. If the loop has a
+    feedthrough, the factor at which its spectral radius reaches 1 is also a limit: beyond it, any delay makes the loop
+    unstable. If this factor is below 1, the loop itself is only theoretical, and factors beyond it are returned, too.
     """
     n = len(cut.A)
     if cut.dt is not None:

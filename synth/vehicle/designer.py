@@ -62,7 +62,9 @@ class SharedDesignData:
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. This bound holds for any measurements without noise."""
+        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. This
+        bound holds for any measurements without noise.
+        """
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
@@ -102,8 +104,8 @@ class Designer:
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        search: True to also compare given gains with the best controller of each vehicle, which requires additional designs
-            (`verify_specifications`).
+        search: True to also compare gains from the vehicle file with the best controller of each vehicle, which requires
+            additional designs (`verify_specifications`).
 
     Raises:
         InputError: an argument has the wrong type.
@@ -145,7 +147,9 @@ class Designer:
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound on the norm from the invariant point. This bound holds for any measurements."""
+        """Lower bound on the norm from the invariant point, a frequency at which no control can change a direction of z. This
+        bound holds for any measurements.
+        """
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
@@ -153,7 +157,9 @@ class Designer:
         return self.shared(hardware).problem(measured, hardware.noise)
 
     def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
-        """Returns the lower bound for controllers of any order with these measurements; if there are none, for state feedback."""
+        """Returns the lower bound for controllers of any order with these measurements; without measurements, the bound for
+        state feedback.
+        """
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
     def _later_bound(self, entry: ControllerEntry) -> Any:
@@ -189,8 +195,9 @@ class Designer:
 
         Raises:
             InputError: no controller has this name.
-            DesignError: the controller could not be designed, or its certificate fails. A given gain is not changed. If the two
-                steps fail, a descent on the norm replaces them; see `Controller.fallback_method`.
+            DesignError: the controller could not be designed, or its certificate fails. A gain that the vehicle file contains
+                is not changed. If the two steps fail, a descent on the norm replaces the two steps; see
+                `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -355,7 +362,7 @@ class Designer:
         return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """Recomputes the certificate of a given law from its proofs.
+        """Recomputes the certificate of a law in the vehicle file from the proofs in this file.
 
         The result contains the certificate and descriptions of the false claims.
 

@@ -51,8 +51,8 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     Args:
         designer: designer of the vehicle.
         controller: linear controller of the vehicle.
-        law: law in its exported form. If it is given, the certificate of a static law uses the rounded numbers of the exported
-            code.
+        law: law in its exported form. If this law is given, the certificate of a static law uses the rounded numbers of the
+            exported code.
     """
     vehicle = designer.vehicle
     about = {"vehicle": vehicle.kind.name, "fingerprints": _fingerprints(vehicle, controller, law)}
@@ -210,7 +210,8 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
 
 
 def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: ExportedLaw | None = None) -> dict[str, str]:
-    """Returns the files of a certificate folder: one certificate for each controller, and the checkers in Python and JavaScript.
+    """Returns the files of a certificate folder: a certificate for each controller, and programs in Python and JavaScript that
+    check it.
 
     Args:
         vehicle: vehicle of the controllers.

@@ -229,7 +229,8 @@ def verify_specifications(
             additional designs.
 
     Raises:
-        DesignError: the ratios are included, but for one of the vehicles, even on its own, no gain satisfies the bounds.
+        DesignError: `search` is True, but no gain satisfies the bounds for one of the vehicles in the family, even if the
+            gain is designed for this vehicle only.
     """
     problem = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:

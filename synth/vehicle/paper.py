@@ -1,12 +1,12 @@
 """Comparison with the paper's published designs (40)-(60), and with remarks 4 and 5 of the paper about other design methods.
 
 Remark 4: with the states (30), problem (25) has no solution for L = 0. If z_s, z_u and their velocities are the states, as in
-reference [33] of the paper, (25) has a solution for controller I, but none for II. For these states, w is the road height,
-because the road velocity would require an additional state. The output z is the same.
+reference [33] of the paper, (25) has a solution for controller I, but no solution for controller II. For these states, w is the
+road height, because the road velocity would require an additional state. The output z is the same for both choices of states.
 
 Remark 5: in reference [19] of the paper, controller I was found by a genetic algorithm. Here,
-`scipy.optimize.differential_evolution` represents this type of search. This search uses only the norm of each gain, within a
-given box of gains. The result depends on the box and on the seed.
+`scipy.optimize.differential_evolution` represents this type of search. This search uses only the norm of the loop for each
+gain, within given limits on the gains. The result depends on these limits and on the seed.
 """
 
 import math

@@ -106,8 +106,8 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
     Args:
         vehicle: vehicle of the controller.
         name: name of the controller.
-        measured: names of the signals at the inputs of the system. If the inputs or outputs of the system have names, these
-            names assign them to signals and forces; otherwise, their order does.
+        measured: names of the signals at the inputs of the system. Inputs and outputs with names are assigned to signals and
+            forces by name, otherwise by order.
         system: `control.StateSpace`, or an object with A, B, C and D. If it is discrete, `dt` is its sample period [s].
 
     Returns:

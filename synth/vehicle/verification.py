@@ -40,7 +40,7 @@ class Verification:
         vehicle, entry, goals: vehicle, controller's section, and goals of the section.
         problem: goals as an optimisation problem on plants.
         K: gain that is verified, shape (m, q).
-        known: worst norms for gain errors that are already computed, so that they are computed only once.
+        known: worst norms for gain errors, which are stored so that each norm is computed only once.
     """
 
     vehicle: Vehicle
@@ -83,7 +83,9 @@ class Verification:
         return tuple(specifications)
 
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
-        """Returns the specifications of a norm over the family: first for no gain errors, then for the worst ones, if any."""
+        """Returns the specifications of a norm over the family: first without gain errors, then for the worst gain errors, if
+        any.
+        """
         of = [_norm(member.plants[spec.which], self.K, spec) for member in self.problem.members]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]
@@ -173,7 +175,7 @@ class Verification:
     def decay(self, rate: float) -> list[Specification]:
         """Returns the specifications of the slowest pole in the family: first without, then with gain errors, if any.
 
-        If there are gain errors, all poles are shifted to the right by the rate. The decay rate is proved if the shifted loops
+        If there are gain errors, all poles are shifted to the right by `rate`. The decay rate is proved if the shifted loops
         are stable.
         """
         slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]

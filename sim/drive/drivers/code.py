@@ -45,7 +45,7 @@ class CodeDriver:
         """See `sim.drive.driver.Driver.start`.
 
         Raises:
-            InputError: the code belongs to another law, sample period or vehicle than the run.
+            InputError: the code was exported for another law, sample period or vehicle than those of the run.
         """
         law, q, first = self._law, self._law.readings, vehicles[0]
         for one, code, vehicle in zip(self._controllers, self._codes, vehicles, strict=True):

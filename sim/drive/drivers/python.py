@@ -19,7 +19,7 @@ WILD = 1e8  # largest measurement, in SI units, with which a Python law is calle
 
 
 def in_python(controllers: Sequence[PythonController], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:
-    """Returns the driver of a Python control law; the law itself if it is a driver."""
+    """Returns the driver of a Python control law; if the law is a driver itself, returns the law."""
     law = controllers[0]
     return law.function if is_driver(law.function) else PythonDriver(law, failures, numbers)
 
@@ -35,7 +35,8 @@ class PythonDriver:
         """Prepares the controller of the runs.
 
         Args:
-            failures: dictionary that receives the failures of the law, whose runs continue without forces; None to raise them.
+            failures: dictionary that receives the failures of the law, whose runs continue without forces; None to raise the
+                failures as errors.
             numbers: keys of the N runs in `failures`.
         """
         self._controller, self._failures, self._numbers = controller, failures, numbers

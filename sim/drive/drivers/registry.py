@@ -17,7 +17,7 @@ def driver_of(
     Args:
         name: name of a driver to use instead of the driver that belongs to the controllers.
         failures: dictionary that receives the failures of Python control laws, whose runs continue without forces; None to
-            raise them.
+            raise the failures as errors.
         numbers: keys of the N runs in `failures`.
 
     Raises:

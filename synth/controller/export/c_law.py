@@ -62,7 +62,7 @@ class ExportedLaw:
         resolution: quantisation step of each measurement, shape (q,); 0 for a measurement that is not quantised.
         limit: largest allowed magnitude of each force [N]; None without limit.
         change: largest allowed change of a force per sample [N]; None without limit.
-        delay: delay from a measurement to its output [samples].
+        delay: delay from the measurements to the outputs that are computed from them [samples].
         anti_windup: anti-windup gain, shape (k, m); None without anti-windup.
         dampers: nominal coefficient of each semi-active damper, and the smallest and largest difference from this coefficient
             [N s/m]; empty for force actuators.
@@ -151,7 +151,8 @@ def exported_law(
         name: prefix of all names in the C code.
         ranges: largest magnitude of each measurement for fixed-point code, by name. Measurements with a proved peak may be
             omitted.
-        sources: text for each range that the user did not give, by name of the measurement; it tells how the range was found.
+        sources: for each range that the user did not give, a text that states how the range was found, by name of the
+            measurement.
 
     Raises:
         InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers

@@ -1,4 +1,5 @@
-"""C99 source of an exported law. The code uses no heap and no library, adds in a fixed order, and prefixes every name.
+"""C99 source of an exported law. The code uses no heap and no library, adds numbers in a fixed order, and gives every name a
+prefix.
 
 Fixed-point code uses only integers. Sums have 64 bits, and every result is clipped so that it cannot overflow.
 """
@@ -60,7 +61,7 @@ class CSource:
     """C code of a law: header, source and tables."""
 
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
-        """Prepares the texts of a law.
+        """Prepares the C source of a law.
 
         Args:
             law: exported law.
@@ -161,7 +162,9 @@ class CSource:
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def template(self, name: str, **words: str) -> str:
-        """Returns a text of the folder `c` with `PREFIX` replaced by the name of the law, and other words replaced as given."""
+        """Returns the text of a file in the folder `c`, with `PREFIX` replaced by the name of the law, and each key of `words`
+        by its value.
+        """
         own = {"PREFIX": self.p, **words}
         return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))
 

@@ -3,7 +3,7 @@
 The range of each measurement is given, and the measurement is clipped at its range. These ranges determine the peaks of the
 states, by sums over the responses of the states, and then the peaks of the forces. With units chosen for these peaks, no value
 can overflow. The unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. If the range of a
-quantised measurement has few enough steps, its resolution is used as its unit.
+quantised measurement contains few enough quantisation steps, the quantisation step is used as its unit.
 
 Each force and each next state is a sum of products of integer coefficients with integer measurements or states. The sum is
 computed in 64 bits without overflow, divided by 2^shift, rounded to the nearest integer (ties away from 0), and clipped.
@@ -40,7 +40,7 @@ class FixedPoint:
         state_units: size of one integer step of each state, shape (k,).
         rows: integer coefficients, shape (m + k, q + k + m). The first m rows belong to the forces, the other rows to the next
             states. The columns belong to the measurements, the states, and the parts of the forces that a limit removes.
-        shifts: exponent of each row by which its sum is divided (2^shift), shape (m + k,).
+        shifts: exponent for each row, whose sum is divided by 2^shift, shape (m + k,).
         limit: largest allowed magnitude of each force, in the units `given`, shape (m,); None without limit.
         change: largest allowed change of each force per sample, in the units `given`, shape (m,); None without limit.
     """

@@ -28,7 +28,7 @@ class FmuModel:
         outputs: p output signals.
         states: n continuous states, as signals; empty for a sampled law.
         period: length that every simulation step must have [s]; None if steps may have any length.
-        delay: delay from an input to its output [samples]; 0 for a linear system.
+        delay: delay from the inputs to the outputs [samples]; 0 if the FMU contains a linear system.
         start: outputs before the first step, shape (p,).
         slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The first p rows belong to the outputs, the
             other rows to the derivatives of the states. The first m columns belong to the inputs, the other columns to the

@@ -1,4 +1,4 @@
-"""Linear systems for export: a vehicle alone, and a vehicle with its controller.
+"""Linear systems for export: a vehicle without controller, and a vehicle with its controller.
 
 All signals are relative to static equilibrium.
 """

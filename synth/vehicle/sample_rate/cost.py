@@ -1,8 +1,8 @@
 """Cost of a low sample rate: exact norm of a loop as a function of the sample period, and stability limit of the loop.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad. Modes that have
-decayed are exempt. The limit is then found by bisection between the last stable and the first unstable period.
+rate. From one tested period to the next, the phase of each mode of vehicle and law advances by at most 0.1 rad. Modes that
+have decayed are ignored. The stability limit is then found by bisection between the last stable and the first unstable period.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -99,8 +99,8 @@ class Cost:
     Attributes:
         controller: controller whose norms are given.
         ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
-        lower_bound: lower bound on the norm with these measurements at any rate; None if no bound is known. The bound is proved
-            for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
+        lower_bound: lower bound on the norm with these measurements at any sample rate; None if no bound is known. The bound is
+            proved for time-invariant controllers, but time-varying controllers cannot be better (Khargonekar, Poolla 1986).
         delay: delay of the forces that `delayed_norm` and `lost_late` take into account [samples].
         rates: norms at each sample rate, in ascending order of the period.
         unstable_period: shortest sample period at which the loop is not stable [s]; see `smallest_unstable_period`.
@@ -135,15 +135,15 @@ def cost(
     """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle of the controller. From its `[implementation]`, only the delay [samples] is used; if no delay is given,
-            it is 1.
+        vehicle: vehicle of the controller. From its `[implementation]`, only the delay is used; without a delay, 1 sample is
+            used.
         controller: linear controller.
         periods: sample periods in ascending order [s].
         designs: periods for which a static controller is also redesigned [s].
         done: function that is called with the number of sample periods that are finished.
 
     Raises:
-        DesignError: the loop has no finite norm at any rate, because a constant road height affects z.
+        DesignError: the loop has no finite norm at any sample rate, because a constant road height affects z.
     """
     if not has_sampled_norm(vehicle, controller):
         raise DesignError("the loop has no finite norm at any rate, because a constant road height affects z")

@@ -171,7 +171,7 @@ PROMPT, LATE, DESIGNED_COLOUR, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#00000
 
 
 def drawn_periods(periods: Sequence[float]) -> list[float]:
-    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and others between them."""
+    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and more periods between them."""
     between = np.geomspace(periods[0], periods[-1], POINTS) if len(periods) > 1 else []
     return sorted({*periods, *np.clip(between, periods[0], periods[-1]).tolist()})
 

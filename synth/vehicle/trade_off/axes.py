@@ -39,8 +39,8 @@ class FrontAxis:
     Attributes:
         name: name of the axis: ride, travel, road_holding, force, band or tolerance.
         norm: norm that is the value of the axis, with its signals and frequency band.
-        off: relative error of each measurement. If it is not zero, the value of the axis is the worst norm for errors up to
-            this size.
+        off: size of the relative error of each measurement. If it is not zero, the value of the axis is the worst norm for
+            errors up to this size.
         meaning: one-line description of the norm on this axis.
         unit: unit of the norm, per m/s of road velocity.
     """
@@ -169,7 +169,7 @@ class AxisValue:
     Attributes:
         value: norm that is the value of the axis.
         proved: proved upper bound on the norm.
-        at: frequency at which the norm is attained [rad/s]; NaN for a norm with errors.
+        at: frequency at which the norm is attained [rad/s]; NaN for the worst norm over measurement errors.
     """
 
     value: float
@@ -179,7 +179,9 @@ class AxisValue:
 
 @numerics()
 def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
-    """Returns the value of a law on an axis; infinite if the loop with this law is unstable, without or with errors."""
+    """Returns the value of a law on an axis; infinite if the loop with this law is unstable, with or without measurement
+    errors.
+    """
     problem = _axis_problem(vehicle, axis, entry)
     if axis.off and len(entry.measured):
         worst = worst_norm(problem.plant, None, law, axis.off)
@@ -196,7 +198,7 @@ def _axis_problem(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> 
 
 
 def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
-    """Returns one norm landscape for each combination of extreme measurement errors.
+    """Returns the norm as a function of the gain (a landscape) for each combination of extreme measurement errors.
 
     The value of the axis is the largest of these norms.
 

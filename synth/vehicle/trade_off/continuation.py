@@ -32,12 +32,12 @@ NOTHING = 1e-9  # a value of an axis counts as zero if it is below this multiple
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedGain:
-    """Gain with its values on all axes.
+    """Gain with its norms on all axes.
 
     Attributes:
         x: coordinates of the gain in the landscape, shape (N,).
         values: norms of the K axes, shape (K,).
-        excess: relative violation of the worst bound; see `Evaluation`.
+        excess: relative violation of the bound that is violated most; see `Evaluation`.
     """
 
     x: Array
@@ -57,7 +57,7 @@ class FrontContinuation:
 
         Args:
             search: search with bounds, structure and starts; its goal is not used.
-            axes: landscapes of each axis; the largest of their norms is the value of the axis.
+            axes: landscapes (norms as functions of the gain) of each axis; the largest of their norms is the value of the axis.
             starts: starting gains, each of shape (m, q).
 
         Raises:
@@ -85,7 +85,7 @@ class FrontContinuation:
                 raise DesignError(search.explain_infeasibility(x))
 
     def evaluate(self, x: Array) -> EvaluatedGain | None:
-        """Evaluates and stores a point. Returns None if its loop is unstable."""
+        """Evaluates and stores a point. Returns None if the loop at this point is unstable."""
         values = np.array([max(landscape.norm(x)[0] for landscape in of) for of in self.axes])
         if not np.all(np.isfinite(values)):
             return None
@@ -136,7 +136,7 @@ class FrontContinuation:
         return start
 
     def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
-        """Minimises the largest of the values of some axes, each relative to its own unit, with bounds on other axes.
+        """Minimises the largest of the norms on some axes, each divided by its entry of `goals`, with bounds on other axes.
 
         Returns:
             The end of the descent; `start` if the loop at the end is unstable.

@@ -55,7 +55,8 @@ class LowerBoundCurve:
         return np.where(never, np.nan, of.max(axis=0, initial=0.0) * DOWN)
 
     def share(self, values: Array) -> Array:
-        """Returns the position of N points relative to the curve, shape (N,): 1 for a point on it, more for a point above it.
+        """Returns the position of N points relative to the curve, shape (N,): 1 for a point on the curve, more than 1 above the
+        curve.
 
         Args:
             values: values of the points on both axes, shape (N, 2).

@@ -102,7 +102,7 @@ DESIGN = Record[Point](Record(measured="controller.measured", gain="controller.g
 
 
 def _design(front: Front, point: Point, /, **named: Any) -> dict[str, Any]:
-    """Returns a design as JSON: first the given values, then the norms on all axes and the gain."""
+    """Returns a design as JSON: first the values in `named`, then the norms on all axes and the gain."""
     axes = zip(front.axes, point.norms, strict=True)
     return {**named, "values": {axis.name: CLAIM(norm) for axis, norm in axes}, **DESIGN(point)}
 
