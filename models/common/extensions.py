@@ -142,6 +142,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "weighted errors": "synth.vehicle.weighted_errors",
         "viewers": "sim.command.viewer",
         "parts in MuJoCo": "sim.drive.part_steps",
+        "scene of a log": "sim.recording.foxglove_scene",
         "dampers in linear analysis": "sim.linear.dampers",
         "response to given forces": "sim.linear.forced_response",
         "stepped response": "sim.linear.stepped",
@@ -175,6 +176,12 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "commands": "sim.observers.commands:compare_commands",
         "twin": "sim.observers.twin:Twin",
         "growth": "sim.observers.growth:Growth",
+    },
+    # The values are functions (path, runs, metadata) that write another file next to the MCAP file of a log; the suffix of the
+    # file follows. The name is the file's key in `--json`
+    "recording": {
+        "layout": ("sim.recording.foxglove_layout:write_layout", "layout.json"),
+        "rerun": ("sim.recording.rerun_writer:write_rrd", "rrd"),
     },
     # The values are classes. The name of a metric is its key in `--best` and in the table of controllers; the columns of this
     # table have the order of the names here
@@ -229,4 +236,4 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
 }
 _ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # the default `over_runs` does not combine a metric over runs
 EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
-PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()
+PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, RECORDINGS, METRICS, STUDIES = EXTENSIONS.values()

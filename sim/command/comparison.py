@@ -9,7 +9,7 @@ from typing import Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.common.extensions import FEATURES
+from models.common.extensions import FEATURES, RECORDINGS
 from models.common.printed import Whole, pasted_path, show
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
@@ -125,7 +125,7 @@ def record_command_runs(
     Returns:
         Paths of the recorded files by type. All paths are None with `--no-logs`.
     """
-    nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
+    nothing: dict[str, str | None] = dict.fromkeys(("mcap", *RECORDINGS))
     if options.logs is None:
         return nothing
     from sim.recording.run_records import record_runs
@@ -170,8 +170,8 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
         return []
     if len(paths) > 1:
         return [Whole(f"  a log for each vehicle: {pasted_path(paths[0]['mcap'].parent)}")]
-    files = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}"), Whole(f"  {pasted_path(paths[0]['mcap'])}")]
-    return [*(["", LOGS] if heading else []), *files]
+    shown = [Whole(f"  rerun {pasted_path(paths[0]['rerun'])}")] if "rerun" in paths[0] else []
+    return [*(["", LOGS] if heading else []), *shown, Whole(f"  {pasted_path(paths[0]['mcap'])}")]
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -196,7 +196,7 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     Raises:
         InputError: the viewer does not start.
     """
-    recording = logs["rerun"]
+    recording = logs.get("rerun")
     if recording is None or not (options.open or options.serve):
         return
     viewer = FEATURES.load("viewers")

@@ -1,4 +1,4 @@
-"""Recordings on disk: an MCAP file with its layout, and a Rerun file. Either all files are written or none.
+"""Recordings on disk: an MCAP file, and the files of `RECORDINGS` next to it. Either all files are written or none.
 
 Existing files are never overwritten.
 """
@@ -11,12 +11,12 @@ from typing import Annotated
 
 from models.common.checks import AT_LEAST_ONE, Must
 from models.common.errors import InputError
+from models.common.extensions import RECORDINGS
 from models.common.files import made_folder
-from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
 
-SUFFIXES = {"mcap": "mcap", "layout": "layout.json", "rerun": "rrd"}
+SUFFIXES = {"mcap": "mcap"} | {name: suffix for name, (suffix,) in RECORDINGS.texts.items()}
 Stem = Annotated[
     str,
     Must(
@@ -65,10 +65,8 @@ def record(
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
             written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)
-            written["layout"].write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
-            from sim.recording.rerun_writer import write_rrd
-
-            write_rrd(written["rerun"], runs, metadata)
+            for kind in RECORDINGS:
+                RECORDINGS.load(kind)(written[kind], runs, metadata)
             return _publish_files(written, folder, stem)
     except OSError as error:
         raise InputError(

@@ -6,7 +6,8 @@ and a tree of rows and columns; see https://docs.foxglove.dev/docs/visualization
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,11 @@ from sim.recording.foxglove_scene import WORLD, frame
 from sim.recording.mcap_writer import topic
 from sim.recording.pages import DIFFERENCE, Curve, Page, Plot, pages
 from sim.recording.run_log import RunLog
+
+
+def write_layout(path: Path, runs: Sequence[RunLog], _metadata: Mapping[str, str]) -> None:
+    """Writes the layout of an MCAP file. The metadata are only in the MCAP file."""
+    path.write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
 
 
 def foxglove_layout(runs: Sequence[RunLog]) -> str:

@@ -16,6 +16,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import Writer
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.document.figure import rgb, styles
 from models.kinds.signals import Signal
 from sim.drive.response import Response
@@ -163,8 +164,9 @@ def _varint(value: int) -> bytes:
 
 def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """Yields the channels with published schemas: the events and the scene."""
-    from sim.recording import foxglove_scene as scene
-
+    scene = FEATURES.load_if_known("scene of a log")
+    if scene is None:
+        return
     largest = largest_force(run.scene for run in runs)
     stand, looks = np.zeros(3), styles(tuple(run.name for run in runs))
     for run in runs:

@@ -66,7 +66,7 @@ SAMPLES = (
     "sim.drive.drivers.linear",
     "sim.observers.energy",
 )
-SORTS = ("part", "driver", "observer", "study", "design method", "feature")
+SORTS = ("part", "driver", "observer", "recording", "study", "design method", "feature")
 
 
 @pytest.mark.parametrize("sort", in_the_suite(["samples"], ["samples", *SORTS]))
