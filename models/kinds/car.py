@@ -50,8 +50,8 @@ class Car:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
         corners: names of the c corners: an axle, a side, or an axle and a side.
         modes: modes of the tyre deflections that are states; each has a name, and the shape (c,).
-        warp: motion of the wheels that a rigid body cannot follow, for axles of equal track width, shape (c,); zero if there is
-            no such motion.
+        warp: wheel motion that a rigid body cannot follow if all axles have the same track width, shape (c,); zero if the body
+            can follow every motion.
     """
 
     parameters: tuple[Parameter, ...]
@@ -190,7 +190,7 @@ class Car:
         return links.carried_loads(p, self.corners, way, force, acceleration)
 
     def angles(self, p: Parameters) -> dict[str, dict[str, float]]:
-        """Returns the body's angles [rad] as sums of signals."""
+        """Returns the body's pitch and roll angles [rad], each as a weighted sum of signals."""
         return rigid_body.angles(self.body(p))
 
     def kind(self, name: str, lacking: Mapping[str, str] | None = None) -> VehicleKind:

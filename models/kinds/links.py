@@ -34,8 +34,8 @@ solid axle. The line begins at the wheel centre if the body reacts the torque. E
 with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
-of the wheels does not act on the body. The inertial force of the wheels acts at their height, so it is a moment on the tyres.
-In cornering, this moment acts on the same axle; in braking, on both axles together.
+of the wheels does not act on the body. The inertial force of the wheels acts at the height of the wheel centres, so it exerts a
+moment on the tyres. In cornering, this moment acts on the axle of these wheels; in braking, on both axles together.
 
 A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
 whole lateral force.
@@ -106,7 +106,7 @@ def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float,
         corners: names of the corners, such as "front" or "front_left".
         way: direction of the force: `roll_load` for a force to the right, `pitch_load` for a forward force.
         force: force on the body at its centre of mass [N], for example an inertial force or wind.
-        acceleration: acceleration whose inertial force on the wheels has the same direction [m/s2]; 0 for wind.
+        acceleration: acceleration [m/s2] that causes the inertial force on the wheels, in the direction of `force`; 0 for wind.
     """
     if not wheel_loads(p, corners):
         return {}
@@ -179,6 +179,6 @@ def _distances(p: Parameters) -> list[float]:
 
 
 def _shares(p: Parameters) -> list[float]:
-    """Returns the share of each axle in a lateral force at the centre of mass."""
+    """Returns the share that each axle carries of a lateral force at the centre of mass."""
     front, rear = _distances(p)
     return [rear / (front + rear), front / (front + rear)]

@@ -31,9 +31,10 @@ terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
 mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
-g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. In this case, too, the
-road height therefore acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed tendons.
-Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body further.
+g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. If the body rotates about
+such an axis, the road height therefore also acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions
+are fixed tendons. Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the
+body further.
 """
 
 from collections.abc import Sequence
@@ -80,7 +81,9 @@ def per_axle(
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter for each given place, by default for each axle. `options` are further arguments of `Parameter`."""
+    """Returns one parameter for each place; the default places are the two axles. `options` are further arguments of
+    `Parameter`.
+    """
     return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
 
@@ -260,9 +263,9 @@ def linear_model(
         states: signals of the state (d, P t, q', z_u'), in total c + p + k + c signals.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals. First the states, other tyre deflections, q'', and velocity and acceleration of the body above
-            each corner. Then control forces, accelerations of the wheels, and heights (of the body, above each corner, and of
-            the wheels).
+        outputs: output signals. The first signals are the states, the other tyre deflections, q'', and the velocities and
+            accelerations of the body above each corner. The next are the control forces and the wheel accelerations. The last
+            are the heights of the body, of its points above each corner, and of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -438,7 +441,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _tendon_name(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Replaces a strut by a fixed tendon whose length is the deflection of a guided wheel, and returns it."""
+    """Replaces a strut by a fixed tendon whose length is the deflection of a guided wheel, and returns this tendon."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

@@ -110,7 +110,7 @@ def seated_kind(kind: VehicleKind) -> VehicleKind:
 
 
 def _linear_model(of_car: Callable[[Parameters], LinearModel], p: Parameters) -> LinearModel:
-    """Returns the linear model of a car with the seat's travel and velocity as its last states."""
+    """Returns the linear model of a car with a seat; the last states are the seat's travel and velocity."""
     car, seat = of_car(p), Seat.of(p)
     point, lift, shown = np.zeros(len(car.A)), np.zeros(len(car.A)), np.zeros(len(car.C))
     for load, rates, arm in zip(LOADS, RATES, seat.arms, strict=True):

@@ -10,11 +10,11 @@ damping pushes its hub upward with
 
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
-where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height is constant over a time step, and so is z_r'.
-A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0.
-At this moment, the equivalent deflection t + (c / k) t' reaches the static deflection. Without damping, the equivalent
-deflection is the deflection t. In the air, the tyre exerts no force. The rubber of the tyre is assumed to return immediately to
-its free shape, without a force on the hub.
+where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height and the road velocity z_r' are both held
+constant over a time step. A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road
+when its total force is 0. At this moment, the equivalent deflection t + (c / k) t' reaches the static deflection. Without
+damping, the equivalent deflection is the deflection t. In the air, the tyre exerts no force. The rubber of the tyre is assumed
+to return immediately to its free shape, without a force on the hub.
 """
 
 from typing import Any

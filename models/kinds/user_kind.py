@@ -59,7 +59,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 def print_to_stderr(*values: Any, file: Any = None, **options: Any) -> None:
     """Prints to stderr.
 
-    Custom vehicle types print to stderr in this way, because stdout belongs to the command and may be JSON.
+    The `print` of custom vehicle types is replaced by this function, because stdout is reserved for the output of the command,
+    which may be JSON.
     """
     print(*values, file=file or sys.stderr, **options)
 
@@ -138,7 +139,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
 
 
 def _check_model(model: LinearModel, kind: VehicleKind) -> None:
-    """Refuses a linear model if names of its vehicle type are missing, or if its states and inputs are not among its outputs."""
+    """Raises InputError if a linear model lacks names of its vehicle type, or has states or inputs that are not also outputs."""
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven

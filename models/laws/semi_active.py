@@ -90,7 +90,9 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper to the sky if the damper can give this sign of force, else the soft setting."""
+    """Continuous skyhook: the force of a damper to the sky if a semi-active damper can give a force of this sign, else the soft
+    setting.
+    """
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -134,7 +136,9 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 
 
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
-    """Continuous skyhook of the body's modes: a damper to the sky for heave, pitch and roll each, shared among the corners."""
+    """Continuous skyhook for heave, pitch and roll: each mode of the body has a damper to the sky, whose force the corners
+    share.
+    """
     damped = moved = 0.0
     # The terms are added in sequence, so that rounding errors do not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
@@ -161,7 +165,7 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 @dataclass(frozen=True)
 class SemiActiveLaw(LawSource):
-    """Built-in semi-active law, in the form in which a vehicle file refers to it.
+    """Reference to a built-in semi-active law, as in a vehicle file.
 
     Attributes:
         name: name of the law, a key of `LAWS`.

@@ -42,7 +42,7 @@ class WeightedErrors:
 
 
 def _record(one: Filter) -> dict[str, Any]:
-    """Returns a filter as in a vehicle file."""
+    """Returns a filter in the form in which a vehicle file contains it."""
     if one.name:
         return {"filter": one.name}
     ((above, below),) = one.sections

@@ -35,7 +35,7 @@ ROUNDING = 1e-9  # a force below this share of the largest force of the nominal 
 
 @dataclass(frozen=True)
 class Adjustable(SettablePart):
-    """Semi-active damper in its vehicle."""
+    """Semi-active damper as a part of a suspension."""
 
     argument = "velocity"
     native = True
@@ -51,7 +51,7 @@ class Adjustable(SettablePart):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`. The linearisation is that of the nominal damper."""
+        """See `Part.line`. The linearisation is that of the damper at its nominal setting."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
@@ -76,7 +76,7 @@ class Adjustable(SettablePart):
         return replace(self, ratio=self.ratio * ratio)
 
     def write(self, tendon: Tendon) -> None:
-        """Writes the force that acts at every setting. See `Part.write`."""
+        """Writes the part of the force that does not depend on the damper's setting. See `Part.write`."""
         if self.offset is not None:
             tendon.add_pieces("velocity", self.offset.at_wheel(self.ratio).pieces, over_speed=True)
 
@@ -149,7 +149,7 @@ class Adjustable(SettablePart):
 
     @property
     def offset(self) -> ForceCurve | None:
-        """Characteristic that acts at every setting; None if it is zero.
+        """Characteristic of the part of the force that does not depend on the damper's setting; None if it is zero.
 
         The other actuators of the damper give (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h at
         equilibrium.

@@ -25,8 +25,8 @@ class CoefficientRange:
         high: largest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         nominal: nominal coefficient [N s/m], 0 for force actuators, shape (N, m).
         adjustable: True for semi-active dampers, equal in all runs, shape (m,).
-        elements: elements whose voltage is set. The limits, the nominal value and the coefficient of these elements are
-            voltages [V].
+        elements: force elements whose voltage a controller sets. The limits, the nominal value and the coefficient of these
+            elements are voltages [V].
         deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
             the softest setting. Each deviation has P segments, shape (N, m, P). The value is None if all characteristics are
             straight.
@@ -105,13 +105,13 @@ class CoefficientRange:
         return c_min, c_max
 
     def forces(self, beyond: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces at settings relative to the nominal settings [N], shape (..., N, m)."""
+        """Returns the forces [N] for settings that are given relative to the nominal settings, shape (..., N, m)."""
         parts = [(one, *one.at(closing, which)) for one in self.elements]
         pushes = [(one, part.push(*motion, beyond[..., one.column])) for one, part, motion in parts]
         return _with(beyond * self._velocity(closing, which), pushes)
 
     def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the settings, relative to the nominal settings, at which the forces are closest to requested forces [N].
+        """Returns the settings, relative to the nominal settings, at which the forces are closest to the requested forces [N].
 
         The shape is (..., N, m).
         """
@@ -161,7 +161,8 @@ class CoefficientRange:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces at the settings minus the requested forces [N], shape (N, m); exactly 0 if nothing is clipped.
+        """Returns the forces that the actuators can give minus the requested forces [N], shape (N, m); exactly 0 if nothing is
+        clipped.
 
         Args:
             forces: requested forces [N], shape (N, m).
@@ -183,7 +184,9 @@ class CoefficientRange:
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns the values of all actuators, shape (..., m), in which other values replace the columns of elements."""
+    """Returns the values of all actuators, shape (..., m), after replacing the columns of the force elements by their own
+    values.
+    """
     if not columns:
         return values
     values = np.array(values)
@@ -194,7 +197,7 @@ def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SetColumn:
-    """Elements of N vehicles at one suspension, whose voltages are set.
+    """Force elements of N vehicles at one suspension; a controller sets the voltages of these elements.
 
     Attributes:
         column: index of the element's force among the inputs.
@@ -204,7 +207,7 @@ class SetColumn:
         own: names of the element's internal states.
         start: index of the column in `CoefficientRange.closing` that contains the element's travel; the columns of its states
             follow.
-        parts: the elements at the wheel: a single element for any number of runs, or N elements.
+        parts: the elements after their motion ratios are applied: one element that all runs share, or N elements.
         element: the N elements combined into one part, before the motion ratio is applied.
     """
 
@@ -263,7 +266,7 @@ def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> Coef
 
 
 def _elements(vehicles: Sequence[Any]) -> tuple[SetColumn, ...]:
-    """Returns the elements of N vehicles whose voltages are set."""
+    """Returns the force elements of N vehicles whose voltages a controller sets."""
     first, start, columns = vehicles[0], len(vehicles[0].linear_model.inputs), list[SetColumn]()
     dampers, states = {one.force: one for one in first.parts.adjustable}, 0
     same = all(vehicle is first for vehicle in vehicles)

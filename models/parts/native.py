@@ -1,4 +1,5 @@
-"""Parts as MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
+"""Representation of parts by MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of
+RK4.
 
 One actuator represents one straight segment of a characteristic. The control of this actuator is zero. The bias of the actuator
 is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were minus the
@@ -60,7 +61,7 @@ class Tendon:
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
         """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3).
 
-        The dead band, a range of lengths [m], is the range in which the spring has no force.
+        The dead band is the range of lengths [m] in which the spring exerts no force.
         """
         spring = self.spec.add_tendon(name=f"{name}_{self.name}")
         spring.stiffness[:] = stiffness

@@ -147,7 +147,7 @@ class AtRatio(Part):
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """See `Part.curve`.
 
-        For a spring, the characteristic has all points of a fine table. For a damper, it is a `ForceSurface`.
+        For a spring, the characteristic has all points of a fine table. For a damper, the characteristic is a `ForceSurface`.
         """
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):

@@ -32,7 +32,7 @@ SPEED = 1.0  # the element is represented by its damping coefficient at this vel
 
 @dataclass(frozen=True)
 class ElementDamper(Damper):
-    """Element of `[parts]` as a semi-active damper.
+    """Element of `[parts]` that acts as a semi-active damper.
 
     The limits of this damper are the damping coefficients at 1 m/s, for 0 V and for the largest voltage.
 
@@ -115,7 +115,7 @@ class SetElement(SettablePart):
         return self.without.rate(d, v, z) if isinstance(self.without, Straight) else self.element.rate(d, v, z, u)
 
     def push(self, d: Array, v: Array, z: Any, u: Array | float, before: Array | float = 0.0) -> Array:
-        """Returns the pushing force at voltages u minus the pushing force at voltages `before` [N], shape (...).
+        """Returns the change of the pushing force when the voltages change from `before` to u [N], shape (...).
 
         Args:
             d: extension of the suspension [m], shape (...).
@@ -127,7 +127,7 @@ class SetElement(SettablePart):
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """See `SettablePart.force_at`. The compared forces are the forces after yield, without springs."""
+        """See `SettablePart.force_at`. The comparison uses the forces after yield, without the forces of springs."""
         return self.element.after_yield(v, beyond)
 
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:

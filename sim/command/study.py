@@ -1,4 +1,4 @@
-"""The command of any study.
+"""The command that runs any of the studies.
 
 The command reads the vehicle, designs the controllers, runs the study, writes files and logs, and prints text or JSON. The
 studies themselves are subclasses of `sim.studies.study.Study`.

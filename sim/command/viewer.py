@@ -26,7 +26,7 @@ ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a sign
 
 
 def check_display() -> None:
-    """Checks that a window can open. Commands call this function before a long run.
+    """Checks that the viewer's window can open. Commands call this function before a long run.
 
     Raises:
         InputError: no display is available.

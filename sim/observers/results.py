@@ -64,7 +64,7 @@ class CommandAgreement(LocalAgreement):
     """Differences between a run and its control law: measurements, commands and states of the law.
 
     Attributes:
-        repeatable: False if the law gave different commands for the same measurements when it was started again twice. The
+        repeatable: False if the law was started again twice and gave different commands for the same measurements. The
             commands of such a law are not compared.
     """
 

@@ -137,7 +137,7 @@ def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) 
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
-    """Returns parts in a row or a column, as the binary tree that both viewers use."""
+    """Returns parts of a layout, arranged in a row or a column, as the binary tree that both viewers use."""
     shares = [*shares, *[1.0] * len(parts)][: len(parts)]
     if len(parts) == 1:
         return parts[0]

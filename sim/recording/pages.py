@@ -119,7 +119,7 @@ def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
 
 
 def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
-    """Yields the curve of a signal in the measured log of a run, if it is measured."""
+    """Yields the measured curve of a signal, if the run is compared with a measured log that contains this signal."""
     if MEASURED_TOPIC in run.other_signals and signal.name in run.other_signals[MEASURED_TOPIC].names:
         yield Curve(run, MEASURED_TOPIC, signal.name, "measured", LOG_COLOUR, 2.5)
 
@@ -199,7 +199,9 @@ def _peak(runs: Sequence[RunLog], name: str) -> float:
 
 
 def _title(run: RunLog, group: str) -> str:
-    """Returns the title of a run's page: its group. For a controller with many states, it includes the number of states shown."""
+    """Returns the title of a run's page: its group. For a controller with many states, the title includes the number of states
+    shown.
+    """
     if group != CONTROLLER or len(run.active) <= MOST_ACTIVE:
         return group
     return f"{group}: the {MOST_ACTIVE} of {len(run.active)} states that contribute most"

@@ -1,4 +1,4 @@
-"""The pages that `python -m sim.report` writes: one for each vehicle and kind of actuators, or the gallery."""
+"""The pages that `python -m sim.report` writes: one for each vehicle and type of actuators, or the gallery."""
 
 import argparse
 import datetime
@@ -222,7 +222,7 @@ def write_gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns texts that state how a page was made, by name: time, command, vehicle file and versions of packages."""
+    """Returns texts that state how a page was made, by title: time, command, vehicle file and package versions."""
     return {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),

@@ -72,7 +72,7 @@ class GasSpring(Part, Section):
     def _inside(self, d: Array) -> Array:
         """Returns the deflections [m], limited so that the gas keeps at least its smallest volume.
 
-        If the gas were compressed further, the pressure would not rise further.
+        Beyond this limit, the pressure of the gas stays constant.
         """
         return np.maximum(d, (NARROWEST - 1) * self.column)
 
@@ -81,7 +81,7 @@ class GasSpring(Part, Section):
         return -self.whole * np.expm1(-self.exponent * np.log1p(self._inside(d) / self.column))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`. The energy is the energy of the gas minus the work of the load and of the atmosphere."""
+        """See `Part.stored`. The stored energy is the energy of the gas minus the work of the load and of the atmosphere."""
         inside, m = self._inside(d), np.maximum(self.exponent - 1, 1e-12)
         stored = self.whole * (inside + self.column * np.expm1(-m * np.log1p(inside / self.column)) / m)
         return stored + self.pull(d, np.zeros(())) * (d - inside)
