@@ -11,7 +11,7 @@ All units are SI. The public names are:
 - Select a controller: `recommend` searches for the best controllers for a vehicle and a road, and returns a `Recommendation`.
 - Add a control law in Python: `Driver` is the interface whose methods the simulation loop calls for many runs together.
 
-All other names of these modules can change without notice.
+Names in these modules that are not public can change without notice.
 """
 
 import sys

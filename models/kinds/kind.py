@@ -130,7 +130,7 @@ def nowhere_else(p: Parameters) -> float:
 
 
 def nothing(*_: Any) -> Any:
-    """Returns an empty mapping; the default for functions that give loads or angles of a vehicle type, or check its parameters."""
+    """Returns an empty mapping: the default for functions that return loads or angles, or check the parameters of a vehicle."""
     return {}
 
 
@@ -258,7 +258,7 @@ class RidePoints:
     Attributes:
         people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, the
             masses above the body are used.
-        others: other points of the body.
+        others: remaining points of the body at which the ride is measured.
         named: True if the vehicle type gives names to the points at which a person sits or stands.
     """
 
@@ -291,7 +291,7 @@ class VehicleKind(CheckedFields):
             names.
         wheels: wheels in the order of the linear model's disturbances.
         linear_model: function of the parameters: `LinearModel` of all signals, including the signals on demand. The method
-            `model` returns the model of a vehicle.
+            `model` returns the linear model with only the outputs in `signals`.
         static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
             signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds
             this value.
@@ -308,12 +308,13 @@ class VehicleKind(CheckedFields):
         on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
             signals, but take no computing time if the file does not name them.
         loads: external loads on the body, in the order of the linear model's loads. If the vehicle has loads on its wheels, the
-            linear model contains them after these loads.
+            linear model contains the wheel loads after the loads on the body.
         wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
             file describes them.
-        carried: function that returns the loads that suspension links and wheel inertia add to the moment of a force on the
-            body. The arguments of this function are the parameters, the direction, the force [N] and the acceleration of the
-            wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
+        carried: function that returns the loads that suspension links and wheel inertia cause in addition to the moment of a
+            force on the body. The arguments of this function are the parameters, the direction, the force [N] and the
+            acceleration of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a
+            forward force.
         angles: function of the parameters: angles of the body relative to level ground [rad], each as a weighted sum of
             signals. The result has the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
         motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
@@ -323,9 +324,10 @@ class VehicleKind(CheckedFields):
         ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by the name of
             the ratio's parameter. Empty, except in the copy of the type that belongs to a vehicle with such ratios.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
-            None means the masses above the body, if there are any. An empty tuple means that there is no person.
-        of_parts: signals of the internal states of force elements. These signals are also part of `signals`, but have no
-            sensors. Empty, except in the copy of the type that belongs to a vehicle with such elements.
+            None means the signals of the masses above the body, if a vehicle has such masses. An empty tuple means that there
+            is no person.
+        of_parts: signals of the internal states of force elements. The signals of internal states are also part of `signals`,
+            but have no sensors. Empty, except in the copy of the type that belongs to a vehicle with such elements.
         lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.
     """
 
@@ -439,7 +441,7 @@ class VehicleKind(CheckedFields):
     def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
         """Returns the contribution of preloads to the wheel rates of springs [N/m], by parameter.
 
-        Only motion ratios that change with travel cause this contribution.
+        Preloads contribute only at suspensions whose motion ratio changes with travel.
 
         Raises:
             InputError: the load of a spring is unknown, or springs with the same parameter carry different loads.
@@ -529,9 +531,9 @@ class VehicleKind(CheckedFields):
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
         """Returns the invariants of the vehicle type for these parameters; empty if a tyre has damping.
 
-        For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At this
-        frequency, the suspension force does not change the transmissibility. With the tyre damping c, m_u s^2 + c s + k is not
-        zero at any frequency.
+        For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At the
+        frequency with m_u s^2 + k = 0, the suspension force does not change the transmissibility. With the tyre damping c, m_u
+        s^2 + c s + k is not zero at any frequency.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 

@@ -35,9 +35,10 @@ with independent suspension. Vehicle files contain the shares themselves, so bot
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
 of the wheels does not act on the body. The inertial force of the wheels acts at the height of the wheel centres, so it exerts a
-moment on the tyres. In cornering, this moment acts on the axle of these wheels; in braking, on both axles together.
+moment on the tyres. In cornering, this moment of the inertial force acts on the axle of these wheels; in braking, on both axles
+together.
 
-A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
+A half-car in the roll plane has a single axle. The body of such a half-car rolls about its roll centre, and the links carry the
 whole lateral force.
 """
 
@@ -93,13 +94,13 @@ def arms(p: Parameters) -> tuple[float | None, float | None]:
 
 
 def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
-    """Returns the loads on the wheels at these corners; none if the vehicle file describes neither links nor wheel centres."""
+    """Returns the loads on the wheels at `corners`; empty if the vehicle file describes neither links nor wheel centres."""
     carrying = any(part.name in p for part in (ROLL_CENTRE, WHEEL_CENTRE, *ROLL_CENTRES, *LENGTHWAYS) if part is not PITCH_CENTRE)
     return tuple(BodyLoad(f"{WHEEL_LOAD.name}_{corner}", f"unsprung_{corner}") for corner in corners) if carrying else ()
 
 
 def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads [N, N m] that links and wheel inertia add to the moment of a force on the body, by name.
+    """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by name.
 
     Args:
         p: parameters of the vehicle.
@@ -144,7 +145,7 @@ def track(axle: str, p: Parameters) -> float:
     """Returns the track width of an axle [m], from `track_AXLE` or, if this is not given, from `track`.
 
     Raises:
-        InputError: neither parameter is given.
+        InputError: neither `track_AXLE` nor `track` is given.
     """
     if (own := p.get(f"track_{axle}", p.get("track"))) is None:
         raise InputError(f"the distance of left and right wheels is missing; give track or track_{axle}, in m")

@@ -57,8 +57,8 @@ class Motion(Protocol):
 
 
 class StoredEnergy(Protocol):
-    """Energy that is stored in a vehicle, computed from the equations of motion. A custom vehicle type may omit these members
-    of `Motion`.
+    """Energy that is stored in a vehicle, computed from the equations of motion. The `Motion` of a custom vehicle type may omit
+    the members of this class.
     """
 
     @property

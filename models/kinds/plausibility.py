@@ -37,9 +37,9 @@ class Rule:
     """Rule for a warning about quantities.
 
     Attributes:
-        of: names of the quantities that the rule compares. The rule applies at a place of the vehicle where all of them are
-            known.
-        odd: function of the values that returns True if they are improbable.
+        of: names of the quantities that the rule compares. The rule applies at a place of the vehicle where all these
+            quantities are known.
+        odd: function of the values that returns True if the values are improbable.
         words: text of the warning, with the names of the quantities in braces.
         rank: priority of the rule, 1 for the highest; a rule with rank 0 always applies. A rule gives no warning if a rule with
             a lower rank, other than 0, already gives one.
@@ -208,7 +208,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
 
 
 def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, KnownQuantity]:
-    """Returns the quantities by name, without those whose value is None or 0. Each argument is a tuple of name, value and unit."""
+    """Returns the quantities by name, except those whose value is None or 0. An argument contains name, value and unit."""
     return {of: KnownQuantity(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
 
 

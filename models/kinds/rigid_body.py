@@ -16,25 +16,25 @@ axle, a = (d_left - d_right) / track. The moment k a of the bar acts as a pair o
 bars, K_s is diagonal. Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2, where e_l and e_r are the unit vectors of its two
 corners.
 
-A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then n' (d +
-t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the vehicle. The state
-therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations then contain
-additional terms for the warp of the road:
+A rigid body cannot follow every motion of four wheels. Let n be the warp motion that a rigid body cannot follow (n' S = 0).
+Then n' (d + t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the
+vehicle. The state therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations
+then contain additional terms for the warp of the road:
 
     t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1.
 
 If P n = 0, as for axles of equal track width, then E = P+ and N = n n' / n'n.
 
 Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
-mass. For this reason, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear model by
-terms that are quadratic in the amplitude.
+mass. Because of this geometry, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear
+model by terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
 mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
-g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. If the body rotates about
-such an axis, the road height therefore also acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions
-are fixed tendons. Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the
-body further.
+g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. If links define an axis,
+the road height therefore also acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed
+tendons. Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body
+further.
 """
 
 from collections.abc import Sequence
@@ -365,7 +365,7 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
         inertia: moment of inertia [kg m2].
         mass: mass of the body [kg].
         size: length of the body that limits the radius of gyration [m].
-        of: name of this length for the message, such as "wheelbase".
+        of: name of the length `size` for the message, such as "wheelbase".
     """
     radius = float(np.sqrt(inertia / mass))
     if radius > size:

@@ -37,8 +37,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
     Raises:
         InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
-            type also raise this error if they fail. `check_together` also raises this error if the results of these functions
-            are wrong.
+            type also raise this error if they fail. `check_together` also raises this error if results of the vehicle type's
+            functions are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
@@ -66,7 +66,7 @@ def print_to_stderr(*values: Any, file: Any = None, **options: Any) -> None:
 
 
 def check_parts(kind: VehicleKind) -> None:
-    """Checks that the parts of a vehicle type fit together, except its functions. `CheckedFields` checks each part separately.
+    """Checks that the parts of a vehicle type, except its functions, fit together. `CheckedFields` checks each part separately.
 
     Raises:
         InputError: a name is used twice, or a part refers to a name that the vehicle type does not have.

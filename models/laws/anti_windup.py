@@ -1,8 +1,8 @@
 """Anti-windup of a linear law: while the actual forces differ from the requested forces, the states follow the actual forces.
 
 A law that a computer executes is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i]. Anti-windup adds L (clip(u[i]) - u[i])
-to x_c[i+1] (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). If no force is clipped, this
-term is exactly zero. While all forces are clipped, A - L C is the state matrix of the law.
+to x_c[i+1] (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). If no force is clipped, the
+anti-windup term is exactly zero. While all forces are clipped, A - L C is the state matrix of the law.
 
 The gain L is chosen so that, while all forces are clipped, the states decay at least by the factor exp(-rate T) in a sample
 period of T seconds. Poles of A inside the circle with the radius exp(-rate T) do not move. Poles of A outside this circle are

@@ -80,7 +80,7 @@ class DesignRequest(Demands, LawSource):
 
     @property
     def two_steps(self) -> bool:
-        """True for a static gain from the two-step design."""
+        """True if the law is a static gain from the two-step design."""
         return not self.design and self.structure is None
 
     @property

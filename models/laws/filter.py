@@ -1,8 +1,8 @@
 """Filters in a vehicle file, used as frequency weights (such as those of ISO 2631-1) and as shapes of road spectra.
 
 A filter is a stable and proper ratio of polynomials in s, or several such ratios in series. The state-space form of each ratio
-is the controllable form, in which time has a unit that depends on the ratio's poles. The coefficients in this form are those of
-the vehicle file, except for the rounding error of one division.
+is the controllable form, in which time has a unit that depends on the ratio's poles. The coefficients in the controllable form
+are those of the vehicle file, except for the rounding error of one division.
 
 A weight may have one pole at 0, an integrator: F(s) = r / s + F_0(s), where r is the residue at 0, and F_0 is stable and
 proper.
@@ -13,7 +13,7 @@ With w_i = 2 pi f_i,
     H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
            * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2.
 
-The factors of these filters are the band limits, the transition from acceleration to velocity, and the upward step. W_d does
+The factors of W_k and W_d are the band limits, the transition from acceleration to velocity, and the upward step. W_d does
 not have an upward step.
 """
 
@@ -212,7 +212,7 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
 
 
 def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> None:
-    """Refuses a section that is improper or unstable, or has a pole or gain out of range.
+    """Raises InputError if a section is improper or unstable, or if a pole or the gain is out of range.
 
     Args:
         above: numerator coefficients.

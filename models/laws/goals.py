@@ -126,8 +126,8 @@ def _signal(value: Any, context: Mapping[str, Any]) -> str:
 
 
 def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns the largest magnitude that a bound allows for a signal [SI]. The file gives this magnitude in the unit of the
-    signal.
+    """Returns the largest magnitude that a bound allows for a signal [SI]. The vehicle file gives the magnitude in the unit of
+    the signal.
     """
     signal = context.get("peak", context.get("energy_peak"))
     return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
@@ -168,7 +168,7 @@ class EnergyBound(Section):
 
 @dataclass(frozen=True)
 class DecayBound(Section):
-    """Bound on the poles: all real parts are below minus this rate."""
+    """Bound on the poles: the real parts of all poles are below minus the decay rate."""
 
     decay: Annotated[float, SI("rad/s", "smallest rate of decay of the loop", SMALLEST)]
 
@@ -320,8 +320,8 @@ class Goals(Section):
     def force_error(self, force: str) -> float:
         """Returns the relative uncertainty of an actuator's force.
 
-        If a force is measured, its name refers to the uncertainty of the measurement. The key `force` then gives the
-        uncertainty of the actuator.
+        If a controller measures the force, the name of the force refers to the uncertainty of this measurement. The key `force`
+        then gives the uncertainty of the actuator.
         """
         return self.tolerance.get(FORCE, self.tolerance.get(force, 0.0))
 

@@ -67,7 +67,7 @@ class LawSource:
     """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
     A source also has two attributes: `given` is its `LinearLaw`, and `request` is its `DesignRequest`. Each attribute is None
-    if the source is of another type.
+    if the source is of a different type.
     """
 
     linear = True  # False if linear analysis does not apply to the law
@@ -85,10 +85,10 @@ class LawSource:
         return {}
 
     def record_from(self, folder: Path) -> dict[str, Any]:
-        """Returns the key that gives the path of the law's file relative to another folder; empty for a law without a file.
+        """Returns the key that gives the path of the law's file relative to `folder`; empty for a law without a file.
 
         Raises:
-            InputError: the file is neither in that folder nor in a folder below it; vehicle files can refer only to such files.
+            InputError: the file is neither in `folder` nor in a folder below it; vehicle files can refer only to such files.
         """
         return {}
 
@@ -123,5 +123,5 @@ class LawSource:
 
 
 def no_design(name: str) -> NoReturn:
-    """Raises an InputError, because this law is not a linear controller that can be designed."""
+    """Raises an InputError: the controller has a linear law, which `synth.design_controllers` must design."""
     raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")

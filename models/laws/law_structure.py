@@ -1,4 +1,5 @@
-"""Structure of a dynamic law in a controller's section (order, one law per force, PI, PID), and PID laws with given numbers.
+"""Structure of a dynamic law in a controller's section (order, one law per force, PI, PID), and PID laws whose numbers a file
+gives.
 
 order = 2
 structure = "corner"
@@ -97,7 +98,8 @@ class StructureSection(Goals):
     ) = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
-        """Returns the structure of a law that is designed; None for a static gain, a full-order law or a given law.
+        """Returns the structure of a law that is designed; None for a static gain, a full-order law, or a law whose numbers are
+        given.
 
         Args:
             measured: names of the measured signals.
@@ -153,7 +155,7 @@ class StructureSection(Goals):
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
     """Returns the numbers of a PI or PID law for each force, as in `pid` of a vehicle file; empty for any other law.
 
-    The states of this law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
+    The states of a PI or PID law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
     signals. The input gains are 1 and 1 / filter.
     """
     rates = -np.diag(law.A)

@@ -44,7 +44,7 @@ class LinearLaw(LawSource):
 
     Raises:
         InputError: a matrix has the wrong shape, or entries that are not real and finite or exceed `LARGEST`, or there are too
-            many states. The message gives the matrix.
+            many states. The message states which matrix is invalid.
     """
 
     request = None
@@ -197,7 +197,7 @@ class LinearLaw(LawSource):
     def continuous(self) -> "LinearLaw":
         """Returns the law in continuous time.
 
-        For a discrete law, this is the continuous law whose bilinear (Tustin) transform is the discrete law.
+        For a discrete law, the result is the continuous law whose bilinear (Tustin) transform is the discrete law.
 
         Raises:
             InputError: the law has a pole at -1, or the result has entries that exceed `LARGEST`.
@@ -236,9 +236,9 @@ class LinearLaw(LawSource):
         """Returns the discrete law that a computer executes at a sample period.
 
         For a continuous law, the states are exact if the measurements change linearly between samples (ramp-invariant or
-        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike measurements that are held between samples, this
-        method adds no delay. With this method, a state that is fast relative to the period settles immediately; with Tustin's
-        rule, it would oscillate. A discrete law is returned unchanged at its own sample period.
+        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike a method that holds measurements between samples,
+        this method adds no delay. With this method, a state that is fast relative to the period settles immediately; with
+        Tustin's rule, it would oscillate. A discrete law is returned unchanged at its own sample period.
 
         Args:
             period: sample period [s].

@@ -5,9 +5,9 @@ wheels:
 
     F(s) = C exp(A s) [B, H]    on [w; z_r].
 
-A computer knows the road only at its samples. The preview is exact for a road that changes linearly between samples. In the
-same way, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`). For
-such a road, the preview force is a weighted sum of the road heights at the coming samples.
+A computer knows the road only at its sample times. The preview is exact for a road that changes linearly between samples. In
+the same way, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`).
+For such a road, the preview force is a weighted sum of the road heights at the coming samples.
 """
 
 from collections.abc import Mapping

@@ -139,7 +139,7 @@ class PythonController(ControlLaw):
         name: name in the vehicle file.
         measured: names of the q measured signals y.
         law: reference to the law, as in the vehicle file.
-        source: text of the law's file, or of the function if Python knows its text.
+        source: text of the law's file, or of the function if Python can find the text of the function.
         function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
 
@@ -214,8 +214,8 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
 
     Args:
         function: function or driver of the caller, which computes the forces.
-        measurable: signals that a controller can measure. A function without an attribute `measured` receives all of these
-            signals.
+        measurable: signals that a controller can measure. A function without an attribute `measured` receives all signals that
+            a controller can measure.
 
     Raises:
         InputError: an attribute is not allowed.
@@ -285,7 +285,7 @@ class ProgramSection(Section):
             raise InputError(f"{named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
 
     def program(self, folder: Path | None) -> PythonLaw | None:
-        """Returns the Python law or the FMU; None for a section with another law. Opens no file.
+        """Returns the Python law or the FMU; None for a section with a different type of law. Opens no file.
 
         Args:
             folder: folder of the vehicle file; None for a vehicle file from text.

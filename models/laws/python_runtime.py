@@ -215,7 +215,8 @@ class LawRuns:
         """Returns the requested forces of N runs [N], shape (N, m), and the errors by number of the run.
 
         Args:
-            gone: True for each run whose law is no longer called, shape (N,). The forces of these runs are 0.
+            gone: True for each run whose law is no longer called, shape (N,). The forces of runs whose law is no longer called
+                are 0.
             y: measurements, shape (N, q).
             time: time since the start [s].
             period: time until the next sample [s].

@@ -5,8 +5,8 @@ force -c v. A law requests c. The damper clips c to its limits and holds it unti
 but the force is always computed with the present v. If a law requests a force F of the whole damper, for example the force of a
 damper between body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
 
-Source of the names, and of laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active
-Suspension Control Design for Vehicles (2010), chapters 3 and 6.
+Source of the laws' names, and of laws for which no other source is given: Savaresi, Poussot-Vassal, Spelta, Sename,
+Dugard, Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -290,7 +290,7 @@ class SemiActiveSection(Section):
     def semi_active_law(
         self, given: Sequence[str], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
     ) -> SemiActiveLaw | None:
-        """Returns the semi-active law; None for a section with another law.
+        """Returns the semi-active law; None for a section with a different type of law.
 
         Args:
             given: keys of the section in the file.
@@ -299,7 +299,7 @@ class SemiActiveSection(Section):
             endings: suffix of the signal names at the suspension of each semi-active damper, by force.
 
         Raises:
-            InputError: a key belongs to another law, or the vehicle lacks a signal or damper that the law needs.
+            InputError: a key belongs to a different law, or the vehicle lacks a signal or damper that the law needs.
         """
         if self.semi_active is None:
             if others := [key for key in given if key in keys(SemiActiveSection)]:

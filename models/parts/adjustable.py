@@ -56,7 +56,7 @@ class Adjustable(SettablePart):
 
     @property
     def is_nonlinear(self) -> bool:
-        """True if the nominal setting differs from its linearisation."""
+        """True if the force at the nominal setting differs from its linearisation."""
         return self.nominal_curve is not None and self.nominal_curve.is_nonlinear
 
     @property
@@ -135,7 +135,7 @@ class Adjustable(SettablePart):
             vehicle: vehicle that the controller drives.
 
         Raises:
-            InputError: the controller measures such a force.
+            InputError: the controller measures a force for which MuJoCo has no sensor.
         """
         turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
         for one in vehicle.parts.adjustable:

@@ -1,4 +1,4 @@
-"""Setting range of semi-active dampers, and the part of a requested force that they cannot give because of this range."""
+"""Setting range of semi-active dampers, and the part of a requested force that the dampers cannot give because of this range."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +25,8 @@ class CoefficientRange:
         high: largest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         nominal: nominal coefficient [N s/m], 0 for force actuators, shape (N, m).
         adjustable: True for semi-active dampers, equal in all runs, shape (m,).
-        elements: force elements whose voltage a controller sets. The limits, the nominal value and the coefficient of these
-            elements are voltages [V].
+        elements: force elements whose voltage a controller sets. For an element, the limits, the nominal value and the
+            coefficient are voltages [V].
         deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
             the softest setting. Each deviation has P segments, shape (N, m, P). The value is None if all characteristics are
             straight.
@@ -123,8 +123,8 @@ class CoefficientRange:
         """Returns the settings of the actuators, followed by the missing forces, shape (..., N, 2 m).
 
         The first m columns are coefficients minus nominal coefficients [N s/m], voltages relative to the voltages without a
-        command [V], or forces of force actuators [N]. The other m columns are the requested forces minus the forces at these
-        settings [N].
+        command [V], or forces of force actuators [N]. The last m columns are the requested forces minus the forces at the
+        settings in the first m columns [N].
 
         Args:
             requested_force: the requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape

@@ -292,7 +292,7 @@ class SuspensionPart:
         part: the equivalent part that acts at the wheel, after the motion ratio is applied.
         parameter: parameter of the vehicle that contains the linearisation of the part; empty for an element of `[parts]`.
         ratio: motion ratio in equilibrium.
-        element: name of the section of `[parts]`; empty for a part from another section.
+        element: name of the section of `[parts]`; empty for a part from a different section.
     """
 
     place: "Suspension"

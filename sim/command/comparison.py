@@ -61,7 +61,7 @@ def controllers_of(
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
     """Returns a function that designs a controller by name.
 
-    The function raises InputError if the controller cannot run at its sample period.
+    The returned function raises InputError if the controller cannot run at its sample period.
     """
 
     def designed(name: str) -> Controller:
@@ -81,7 +81,7 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
 def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
     """Prints a warning to stderr for each controller with an invalid certificate or missed goals.
 
-    The command simulates these controllers nevertheless.
+    The command also simulates the controllers with such a warning.
     """
     for one in controllers:
         if one.false_claims:

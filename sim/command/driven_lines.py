@@ -120,7 +120,7 @@ def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]
 def _finding_lines(runs: Sequence[Run], verbose: bool) -> list[str]:
     """Returns the lines about runs that are printed above the table of controllers.
 
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
+    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
     reasons why a run fails or diverges.
     """
     few = len(runs) <= FEW

@@ -1,7 +1,7 @@
 """Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
-The replay does not design controllers and needs no solver. The log contains the proof of the certificate, and the law, from
-which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
+The replay does not design controllers, so it does not need a solver. The log contains the proof of the certificate, and the
+law, from which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
 """
 
 import json

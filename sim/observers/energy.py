@@ -6,12 +6,12 @@ energy changes by the work of actuators and loads, minus the energy that the dam
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
-Here E is the kinetic and potential energy. The residual of this equation is due to errors of the integrator and of the integrals.
-The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the lengths l and
-rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear
-in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
-tyre leaves the road. The force then has a kink, and the residual is only of about second order. The knots of characteristics
-cause such kinks, too.
+Here E is the kinetic and potential energy. The residual of the energy balance is due to errors of the integrator and of the
+integrals. The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the
+lengths l and rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every
+spring is linear in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a
+step, for example if a tyre leaves the road. The force then has a kink, and the residual is only of about second order. The
+knots of characteristics also cause kinks in the force.
 
 E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
 file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. Any force in MuJoCo
@@ -25,8 +25,8 @@ is computed along MuJoCo's actuator. For such an actuator, only the comparison w
 correctly in the MuJoCo model. The force that a semi-active damper adds to its nominal force is -d l'. The coefficient d is held
 over a step, or lags behind its command. The work of this force is also computed with Simpson's rule. If a controller sets the
 voltage of an element of `[parts]`, the energy stored in the element depends on its present voltage. A change of the voltage
-therefore does work. This work of the coil is counted as work of the actuator. A separate check of force and speed at every
-sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
+therefore does work. The work of the coil that sets the voltage is counted as work of the actuator. A separate check of force
+and speed at every sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
 
 The residual is given relative to the turnover. The turnover is the sum of the energy that the dampers dissipate, the energy that
 the actuators supply and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide
@@ -313,10 +313,10 @@ class _Path:
     Attributes:
         model: compiled model of the vehicle.
         h: duration of a step [s].
-        starts: potential and kinetic energy, lengths, and rates of the lengths at the samples, for the road height in the step
-            that begins at each sample, shape (T, n).
-        ends, rest: the same quantities as in `starts`, at the end of every step (for the road height in this step, shape (T -
-            1, n)) and in equilibrium (shape (n,)).
+        starts: potential and kinetic energy, lengths, and rates of the lengths at the samples, shape (T, n). The road height is
+            that in the step that begins at each sample.
+        ends, rest: the same quantities at the end of every step (with the road height in this step), shape (T - 1, n), and in
+            equilibrium, shape (n,).
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:

@@ -13,7 +13,7 @@ class Growth:
     """Records the state of each run at one sample."""
 
     def __init__(self, samples: Sequence[int], batch: Batch) -> None:
-        """Prepares the recording for the runs of a batch. `samples` contains, for each case, the index of the sample to record."""
+        """Prepares the recording for the runs of a batch. `samples` contains the index of the sample to record for each case."""
         self._samples = [samples[i] for i in batch.numbers]
         self._states: list[Array] = [np.zeros(0)] * len(self._samples)
 

@@ -27,8 +27,8 @@ class Recording:
         case: vehicle, controller and road that were simulated.
         input: vehicle and road of the run, with the road heights at the samples.
         response: signals of the vehicle, followed by the states of a linear law, which are those at the law's most recent
-            sample. After a divergence, signals are NaN. States of the law are then infinite if they caused the divergence, and
-            otherwise NaN.
+            sample. After a divergence, signals are NaN. If states of the law caused the divergence, the states are then
+            infinite; otherwise, they are NaN.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run.
         qvel: MuJoCo's generalised velocities, shape (T, nv).
         measured: each measured signal and closing velocity at the samples of the controller, shape (T,), by name; see

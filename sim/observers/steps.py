@@ -1,10 +1,10 @@
 """Compares a simulation with the exact equations, step by step and signal by signal, even if the motion is not linear.
 
 The signals at one sample determine the state. A step of RK4 with the equations of the vehicle file then gives the signals at the
-next sample. The simulated signals must equal these signals up to rounding errors. The equations include rotating bodies,
-nonlinear characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the simulated state, so
-an error in one step cannot hide an error in another step. All steps can therefore be computed together. Forces and damper
-coefficients follow from the commands of the controller, with the limits and the lag of the vehicle file.
+next sample. The simulated signals must equal the signals from the equations up to rounding errors. The equations include
+rotating bodies, nonlinear characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the
+simulated state, so an error in one step cannot hide an error in another step. All steps can therefore be computed together.
+Forces and damper coefficients follow from the commands of the controller, with the limits and the lag of the vehicle file.
 
 The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
 beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals
@@ -225,7 +225,7 @@ def _pulls(
 
 
 def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
-    """Computes the signals that the state does not contain, from the equations, at the starts of the K steps, shape (K,) each."""
+    """Computes the signals that the state does not contain, from the equations, for given commands and loads, shape (K,) each."""
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 

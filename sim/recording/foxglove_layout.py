@@ -88,7 +88,9 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
 
 
 def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str) -> str:
-    """Adds a plot over time, or over another field. Returns its id. All plots over time zoom together."""
+    """Adds a plot over time, or over a field of the messages other than time. Returns its id. All plots over time zoom
+    together.
+    """
     panel = f"Plot!{_id(name)}"
     axis: dict[str, Any] = {"xAxisVal": "timestamp"}
     if plot.diagram is not None:

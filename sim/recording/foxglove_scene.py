@@ -180,7 +180,7 @@ def _add_solid(entity: Any, shape: Shape) -> None:
 def _pack_points(points: Array, field: int) -> Array:
     """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles.
 
-    The shape changes from (..., P, 3) to (..., P).
+    The shape of the array changes from (..., P, 3) to (..., P).
 
     When the message is serialised later, zeros are omitted. The number of the field must be below 16.
     """

@@ -60,7 +60,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """Plot of curves over time, or of a force over its argument if there is a diagram."""
+    """Plot of curves over time or, if the plot has a diagram, of a force over its argument."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -89,7 +89,8 @@ def colour_of(runs: Sequence[RunLog], run: RunLog) -> str:
 
 
 def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
-    """Returns the pages of a single run with all its responses, loads and diagrams, or of all runs with one curve each.
+    """Returns the pages of a single run with all its responses, loads and diagrams, or of several runs with one curve for each
+    run.
 
     The first page is the overview. The last page is the road, which all responses share.
     """

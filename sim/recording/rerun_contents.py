@@ -55,7 +55,9 @@ def entity(*parts: str) -> str:
 
 
 def time_index(time: Array) -> list[rr.TimeColumn]:
-    """Returns times [s], rounded to nanoseconds as in the MCAP file. Rerun would truncate seconds given as floats."""
+    """Returns times [s], rounded to nanoseconds as in the MCAP file. Rerun would truncate times that are given as floats in
+    seconds.
+    """
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 

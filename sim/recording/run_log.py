@@ -65,7 +65,7 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if one of the two is missing."""
+        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if one of them is missing."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])

@@ -57,7 +57,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     """Converts a run to a scene with 60 frames per second.
 
     The names of the elements of the MuJoCo model determine what is drawn. A spring is drawn from every site `NAME_bottom` to
-    `NAME_top`, with the force of an actuator on the tendon NAME. A cylinder with the name of a tendon is drawn as a tyre, with
+    `NAME_top`, with the force of the actuator on the tendon NAME. A cylinder with the name of a tendon is drawn as a tyre, with
     the length of this tendon.
 
     Args:

@@ -71,7 +71,7 @@ class Tyre:
 
     Attributes:
         name: name of the tyre, unique within its body.
-        body: name of the body that carries the tyre. The hub is at the origin of this body.
+        body: name of the body that carries the tyre. The hub is at the origin of the body that carries the tyre.
         radius: undeformed radius [m].
         half_width: half the width of the tyre [m].
         middle: y coordinate of the middle of the tyre (along the axle), in the frame of the body [m].

@@ -76,7 +76,7 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        measured: metrics of each of these runs; empty if the road is the bump.
+        measured: metrics of each run over the road; empty if the road is the bump.
         when: text that says over which part of the run the metrics are measured.
     """
     road, text, title = scope.own_road, (), "Response to the road"

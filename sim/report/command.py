@@ -256,7 +256,9 @@ def _files(page: Page) -> list[tuple[Figure | Table, tuple[str, ...]]]:
 
 
 def _others(page: Page, folder: Path) -> list[str]:
-    """Returns the names of figures and tables in the folder that do not belong to this page. The command keeps these files."""
+    """Returns the names of figures and tables in the folder that do not belong to this page. The command does not delete such
+    files.
+    """
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
     return sorted(name for name in there - own if not name.startswith("."))

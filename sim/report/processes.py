@@ -60,9 +60,9 @@ class Processes:
             progress: callback that receives the name of the current study.
 
         Returns:
-            Function that waits for all results and returns them by name. While it waits, the calling process itself runs requests
-            that no other process has started yet, beginning with the last one. If the pool breaks, the calling process also runs
-            all requests that have no result yet.
+            Function that waits for all results and returns them by name. While this function waits, the calling process itself
+            runs requests that no other process has started yet, beginning with the last one. If the pool breaks, the calling
+            process also runs all requests that have no result yet.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:

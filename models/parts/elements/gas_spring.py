@@ -9,9 +9,9 @@ The polytropic exponent n is 1 for slow motion at constant temperature, and 1.4 
 stiffness in equilibrium is n p_0 A^2 / V_0, where p_0 is the gas pressure in equilibrium (J. Reimpell, H. Stoll, J. W. Betzler,
 The Automotive Chassis, 2nd ed., section 5.3).
 
-At another temperature T, the load and the pressure in equilibrium stay the same. The model assumes that a level control with
-oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas therefore changes: V_0 is the volume in the
-file times T / T_0.
+At a temperature T that differs from T_0, the load and the pressure in equilibrium are the same as at T_0. The model assumes
+that a level control with oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas therefore changes:
+V_0 is the volume in the file times T / T_0.
 """
 
 from dataclasses import dataclass

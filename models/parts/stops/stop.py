@@ -5,9 +5,9 @@ k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. A sing
 list of up to three numbers describes a progressive stop, and a table gives the force at each point. The form {bump, rebound}
 gives a value for each side; an omitted side has no stop.
 
-If the file gives a stroke for a side, the argument of the table is the compression of the stop. Otherwise the argument is the
-compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions, if the table
-has any.
+If the file gives a stroke for a side, the argument of the table is the compression of the stop. If the file gives no stroke,
+the argument is the compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative
+compressions, if the table has any.
 
 The name of a section in `[limits]` is the name of a corner, or the common beginning of several names. For example, `rear` means
 rear_left and rear_right. If a key is missing in a section, its value is taken from a section that applies to more corners. For
@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # a force below this share of the largest force of its table co
 
 @dataclass(frozen=True)
 class StopTable:
-    """Force of a stop at given points. The force is interpolated linearly, and extrapolated with the last slope.
+    """Table of the force of a stop over compression. The force is interpolated linearly, and extrapolated with the last slope.
 
     Attributes:
         compression: compression of the stop or of the suspension, ascending [m].
