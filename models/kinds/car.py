@@ -121,12 +121,12 @@ class Car:
         check_stands(self.body(p))
 
     def at_corners(self, *quantities: Signal) -> tuple[Signal, ...]:
-        """Returns the signals of quantities at every corner."""
+        """Returns the signals of each quantity at every corner."""
         return tuple(signal.at(corner) for signal in quantities for corner in self.corners)
 
     @property
     def states(self) -> tuple[Signal, ...]:
-        """Signals of the states."""
+        """Signals of the linear model's states."""
         return (
             *self.at_corners(signals.SUSPENSION_DEFLECTION),
             *self.tyres,

@@ -1,7 +1,7 @@
 """Suspension links: they define the axes about which a body rotates, and carry a share of the loads instead of the springs.
 
-Heights are above the ground. If a car has roll centres, the body rolls about the axis through the front and rear roll centres.
-At the centre of mass, this axis has the height
+All heights are measured from the ground. If a car has roll centres, the body rolls about the axis through the front and rear
+roll centres. At the centre of mass, the roll axis has the height
 
     h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (l: distances of the axles from the centre of mass, L:
     their sum).
@@ -38,8 +38,8 @@ of the wheels does not act on the body. The inertial force of the wheels acts at
 moment on the tyres. In cornering, this moment of the inertial force acts on the axle of these wheels; in braking, on both axles
 together.
 
-A half-car in the roll plane has a single axle. The body of such a half-car rolls about its roll centre, and the links carry the
-whole lateral force.
+A half-car in the roll plane has a single axle. The body of a half-car in the roll plane rolls about its roll centre, and the
+links carry the whole lateral force.
 """
 
 from collections.abc import Collection, Sequence

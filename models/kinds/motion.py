@@ -36,7 +36,7 @@ class Motion(Protocol):
         ...
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Array:
-        """Returns the rates of the states, shape (T, n).
+        """Returns the time derivatives of the states, shape (T, n).
 
         Args:
             state: states, shape (T, n).

@@ -34,7 +34,7 @@ class KnownQuantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Rule:
-    """Rule for a warning about quantities.
+    """Rule that warns about improbable quantities of a vehicle or road.
 
     Attributes:
         of: names of the quantities that the rule compares. The rule applies at a place of the vehicle where all these

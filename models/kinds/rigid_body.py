@@ -130,7 +130,7 @@ class Corner:
         Args:
             p: parameters of the vehicle.
             name: name of the corner.
-            place: axle or side whose parameters apply.
+            place: axle or side whose parameters the corner has.
             y: position to the left of the centre of mass [m].
         """
         x = {"front": 1.0, "rear": -1.0}.get(place, 0.0) * p.get(f"axle_distance_{place}", 0.0)

@@ -248,7 +248,7 @@ class RigidMotion:
         return inertias, entries
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
-        """Returns q'' for generalised forces, shape (T, k)."""
+        """Returns q'', the accelerations of the modes, for generalised forces, shape (T, k)."""
         mass, b = self.body.mass, self.body.roll_arm or 0.0
         if q.shape[1] == 1:
             return push / mass - GRAVITY

@@ -16,8 +16,8 @@ class LawStructure:
     Attributes:
         order: number of states. If `rows` is not None, each force has its own law with this number of states. The number is 0
             for PI and PID, whose structure defines the number of states.
-        rows: a row for each force, with True for each measurement that may act on this force. Each force then has its own law.
-            None means one law from all measurements to all forces.
+        rows: a row for each force, with True for each measurement that may act on this force. If `rows` is not None, each force
+            has its own law. None means one law from all measurements to all forces.
         kind: "pi" or "pid"; empty for a law whose structure is defined by `order`.
         filter: time constant of the derivative's low-pass filter [s]; 0 without a derivative.
     """

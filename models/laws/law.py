@@ -113,8 +113,8 @@ class LawSource:
             name: name of the controller, as in the vehicle file.
             measured: names of the signals that the controller measures.
             design: function that designs or certifies a linear controller with a given name.
-            read: function that returns the text of a Python law; by default, the text is read from the law's file. This
-                function does not execute the text.
+            read: function that returns the text of a Python law; by default, the text is read from the law's file. The function
+                `read` does not execute the text.
 
         Raises:
             InputError: the file of the law cannot be read, or `design` raises this error.

@@ -114,8 +114,8 @@ class LinearLaw(LawSource):
     def matrix(self) -> Array:
         """[D, C; B, A], shape (m + k, q + k).
 
-        Columns are measurements and states. Rows are forces, followed by rates of the states (or next states of a discrete
-        law).
+        The columns belong to the measurements and the states. The rows belong to the forces, followed by the rates of the
+        states (for a discrete law: the next states).
         """
         return np.block([[self.D, self.C], [self.B, self.A]])
 

@@ -1,4 +1,5 @@
-"""Preview: the part of a linear law that responds to the road ahead. It is a feedforward in addition to the feedback u = K y.
+"""Preview: the part of a linear law that responds to the road ahead. The preview is a feedforward in addition to the feedback u
+= K y.
 
 The force is the integral of F(s) d(t + s) over s from 0 to T, where d contains the road velocities w and heights z_r under the
 wheels:

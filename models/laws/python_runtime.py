@@ -359,5 +359,5 @@ def _takes_time(function: Any) -> bool:
 
 
 def _short(value: Any) -> str:
-    """Returns a user's value as text for a message."""
+    """Returns a value from user code as text for a message."""
     return short_repr(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"

@@ -90,9 +90,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper to the sky if a semi-active damper can give a force of this sign, else the soft
-    setting.
-    """
+    """Continuous skyhook: the force of a damper to the sky if the damper can give a force of this sign, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -136,9 +134,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 
 
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
-    """Continuous skyhook for heave, pitch and roll: each mode of the body has a damper to the sky, whose force the corners
-    share.
-    """
+    """Continuous skyhook for heave, pitch and roll: each mode has a damper to the sky, whose force the corners share."""
     damped = moved = 0.0
     # The terms are added in sequence, so that rounding errors do not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):

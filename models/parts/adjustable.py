@@ -132,7 +132,7 @@ class Adjustable(SettablePart):
         Args:
             name: name of the controller.
             measured: signals that the controller measures.
-            vehicle: vehicle that the controller drives.
+            vehicle: vehicle in which the controller acts.
 
         Raises:
             InputError: the controller measures a force for which MuJoCo has no sensor.
@@ -177,7 +177,7 @@ def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) ->
 def _check_takes(parameter: str, one: Adjustable) -> None:
     """Checks that the softest setting with the parallel characteristic dissipates energy at every velocity.
 
-    Firmer settings dissipate more.
+    Firmer settings dissipate more energy than the softest setting.
     """
     if one.nominal_curve is None:
         return

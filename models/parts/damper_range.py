@@ -89,7 +89,7 @@ class CoefficientRange:
             c_min: smallest coefficient at velocity 0 [N s/m], shape (N, m).
             c_max: largest coefficient at velocity 0 [N s/m], shape (N, m).
             closing: closing velocity of each suspension [m/s], not 0, as `closing` returns it, shape (N, m + c).
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         speeds = closing[..., : self.low.shape[1]]
         if self.deviations is not None:
@@ -129,7 +129,7 @@ class CoefficientRange:
         Args:
             requested_force: the requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape
                 (..., N, 2 m + c).
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         forces, closing = np.split(requested_force, [self.low.shape[1]], axis=-1)
         beyond = self.settings(forces, closing, which)
@@ -141,7 +141,7 @@ class CoefficientRange:
         Args:
             coefficients: requested coefficients of the dampers, force divided by velocity [N s/m], shape (..., N, m).
             closing: closing velocity of each suspension [m/s], as `closing` returns it, shape (..., N, m + c).
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
@@ -167,7 +167,7 @@ class CoefficientRange:
         Args:
             forces: requested forces [N], shape (N, m).
             closing: motion of each suspension, as in `commands`, shape (N, m + c); None if all actuators are force actuators.
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         turned = 1.0 if closing is None else self._velocity(closing, which)
         coefficients = forces / turned

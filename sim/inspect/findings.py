@@ -93,5 +93,5 @@ def _equal(said: Any, now: Any, absolute: float) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Returns True for a JSON number. True and False are not numbers."""
+    """Returns True if a JSON value is a number. True and False are not numbers."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

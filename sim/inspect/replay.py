@@ -41,7 +41,7 @@ LAW = ("gain", *MATRICES, "sample_period")  # metadata keys that define the cont
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
-    """Returns the vehicle of the attached vehicle file.
+    """Returns the vehicle that the attached vehicle file describes.
 
     Args:
         log: log that contains the run or its vehicle file.

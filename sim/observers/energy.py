@@ -271,7 +271,7 @@ def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array,
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
     """Returns the road's work in each step, except its work on the tyre springs, and the energy that tyres dissipate [J].
 
-    The shapes are (T - 1,) each.
+    Both results have the shape (T - 1,).
 
     If a tyre has damping, the nonelastic part R of its force acts between road and hub. The power of the road is R w at the
     road velocity w, the power on the hub is R l', and the tyre dissipates the difference.

@@ -144,7 +144,7 @@ def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
 
 
 def _arrow(tail: Array, vector: Array) -> ArrowPrimitive:
-    """Returns the arrow of a control force."""
+    """Returns the arrow that shows a control force."""
     length = float(np.linalg.norm(vector))
     direction = vector / length
     # Quaternion of the rotation that turns +x into the direction; it is not normalised.

@@ -141,7 +141,7 @@ def _actuators(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
-    """Returns the tyre of geom `i`.
+    """Returns the drawn tyre that represents the MuJoCo geom `i`.
 
     The tendon of the tyre runs from the road to the hub, and is slack above the radius of the tyre.
     """

@@ -271,7 +271,8 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
 
 
 def road_surface(track: Track) -> tuple[Array, Array, Array]:
-    """Returns a track as a slab. The shade of grey alternates every metre, which makes the motion visible.
+    """Returns the surface of a track, drawn as a slab. The shade of grey alternates every metre, which makes the motion
+    visible.
 
     Returns:
         The vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N - 1), 3).
