@@ -295,8 +295,8 @@ class VehicleKind(CheckedFields):
         static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
             signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds
             this value.
-        write_mjcf: function of an `MjSpec` and of the parameters. It writes the parameters into the `MjSpec`, which is read
-            from the type's `.xml` file, without importing MuJoCo.
+        write_mjcf: function of an `MjSpec` and of the parameters. The function writes the parameters into the `MjSpec`, which
+            is read from the type's `.xml` file, without importing MuJoCo.
         folder: folder of the `.xml` file.
         check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
             vehicle in combination.

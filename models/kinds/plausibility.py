@@ -102,7 +102,7 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     """Returns a warning for each rule that finds improbable quantities, about the first place at which they are found.
 
     Args:
-        places: for each place of the vehicle, such as a suspension or sensor, the known quantities by the names in the rules.
+        places: known quantities at each place of the vehicle, such as a suspension or sensor, by the names in the rules.
     """
     places, said, first = list(places), list[str](), 9
     for rule, names in zip(RULES, NAMES, strict=True):

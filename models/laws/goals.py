@@ -296,8 +296,8 @@ class Goals(Section):
 
     @property
     def goals(self) -> "Goals":
-        """The goals that also apply to a static gain: without frequency-dependent uncertainties and without a structure of
-        dynamic laws.
+        """The goals that also apply to a static gain; frequency-dependent uncertainties and structures of dynamic laws are
+        omitted.
         """
         own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
         own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}

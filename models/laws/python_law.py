@@ -39,8 +39,8 @@ class PythonLaw(LawSource):
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
         preview: time for which the law knows the road ahead [s]; None if the law does not receive the road.
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot run.
-        inputs: for each input variable of an FMU whose name is not the name of a signal, the signal that it receives.
-        outputs: for each output variable of an FMU whose name is not the name of a signal, the force that it gives.
+        inputs: signal that each input variable of an FMU receives; only variables whose name is not the name of a signal.
+        outputs: force that each output variable of an FMU gives; only variables whose name is not the name of a signal.
     """
 
     linear = False

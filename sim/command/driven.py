@@ -26,7 +26,7 @@ class VehicleRuns:
         title: title of the vehicle in printed results; empty if the command simulates only one vehicle.
         names: requested controllers.
         runs: runs with the whole vehicle file, then runs in which one part of the file is omitted (`--without`).
-        without: for each run, the part of the vehicle file that is omitted, such as noise; an empty text if no part is omitted.
+        without: part of the vehicle file that each run omits, such as noise; an empty text for a run that omits no part.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if the ride is not measured.
         fits: comparison of each run with a measured log; empty without a measured log.

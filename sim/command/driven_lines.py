@@ -41,7 +41,7 @@ def driven_lines(
         driven: runs of each vehicle.
         where: text that describes the road.
         scores: scores of the controllers, one for each row of the table of controllers.
-        about: text that says over which part of the run the ride is measured.
+        about: text that states in which part of the run the ride is measured.
         response: description of the step response, as in the result of the command; empty if the road is not a step.
         below: lines to print between the table and the verdicts, such as paths of files.
     """

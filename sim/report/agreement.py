@@ -77,7 +77,7 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
         measured: metrics of each run over the road; empty if the road is the bump.
-        when: text that says over which part of the run the metrics are measured.
+        when: text that states in which part of the run the metrics are measured.
     """
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)

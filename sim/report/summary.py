@@ -130,7 +130,7 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
         scope: subject of the report, with its vehicle, controllers and runs.
         compared: scores of the controllers, which the table compares.
         rides: True if the controllers are compared over random roads.
-        when: text that says over which part of the run the metrics are measured.
+        when: text that states in which part of the run the metrics are measured.
     """
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:
@@ -140,7 +140,5 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
 
 
 def _height(end: RegimeEnd) -> str:
-    """Returns, as text, the bump height at which the linear regime ends; the text says so if MuJoCo does not confirm this
-    height.
-    """
+    """Returns, as text, the bump height at which the linear regime ends, with a remark if MuJoCo does not confirm this height."""
     return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"
