@@ -7,11 +7,11 @@ All units are SI. The public names are:
 - Evaluate a run: `measure_run` returns ride, suspension travel and road holding as `RunMetrics`.
 - Measure in MuJoCo and compare with linear analysis: `find_margins` (stability margins) and `measure_responses` (frequency
   responses).
-- Record: `run_log` converts a run to the content of a log, and `record` writes the log files.
+- Record runs: `run_log` converts a run to the content of a log, and `record` writes the log files.
 - Select a controller: `recommend` searches for the best controllers for a vehicle and a road, and returns a `Recommendation`.
 - Add a control law in Python: `Driver` is the interface whose methods the simulation loop calls for many runs together.
 
-All other names of these modules can change without notice.
+Names in these modules that are not public can change without notice.
 """
 
 import sys

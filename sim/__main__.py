@@ -42,7 +42,7 @@ VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # maps ea
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit code. `roadproof bump` does the same as `roadproof bump`.
+    """Runs the command; returns its exit code. `python -m sim bump` does the same as `roadproof bump`.
 
     Raises:
         InputError: the command or an option is unknown.

@@ -49,7 +49,7 @@ def parser() -> Parser:
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Bump":
-    """Returns the requested bump. `time` contains the sample times of the run [s], shape (T,).
+    """Returns the bump that the options describe. `time` contains the sample times of the run [s], shape (T,).
 
     Raises:
         InputError: the vehicle cannot be driven over this bump.

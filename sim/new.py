@@ -1,4 +1,4 @@
-"""`python -m sim.new`: writes a commented vehicle file, in which the user replaces the numbers."""
+"""`python -m sim.new`: writes a commented vehicle file whose numbers the user can then replace."""
 
 if __name__ == "__main__":
     from models.common.cli import run

@@ -1,4 +1,6 @@
-"""Quantities of a vehicle at its wheels: linear model with forces at the wheels, effect of suspension forces, and rates."""
+"""Quantities of a vehicle at its wheels: linear model with forces at the wheels, effect of suspension forces, and spring and
+damper rates.
+"""
 
 from collections.abc import Sequence
 
@@ -44,7 +46,9 @@ def force_effects(kind: VehicleKind, parameters: Parameters, deflections: Sequen
 
 
 def ratio_notes(kind: VehicleKind, given: Parameters) -> list[str]:
-    """Returns notes with the spring and damper rates at the wheel for each motion ratio; empty without motion ratios."""
+    """Returns notes with the spring and damper rates at the wheel for each motion ratio; empty if no suspension has a motion
+    ratio.
+    """
     wheel, notes = kind.at_wheels(given), dict[str, None]()
     for part in kind.suspensions:
         if part.ratio in given and wheel.get(part.ratio) != given[part.ratio]:

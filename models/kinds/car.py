@@ -1,4 +1,4 @@
-"""Vehicle types with a rigid body on several corners, derived from the body and the names of its corners."""
+"""Vehicle types with a rigid body on several corners (wheels with suspensions), derived from the body and its corner names."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,9 +49,9 @@ class Car:
     Attributes:
         parameters: parameters of the type; their names determine how the body moves, and which axles have anti-roll bars.
         corners: names of the c corners: an axle, a side, or an axle and a side.
-        modes: modes of the tyre deflections that are states; each has a name, and the shape (c,).
-        warp: motion of the wheels that a rigid body cannot follow, for axles of equal track width, shape (c,); zero if there is
-            no such motion.
+        modes: modes of the tyre deflections that are states, by name; each mode has the shape (c,).
+        warp: wheel motion that a rigid body cannot follow if all axles have the same track width, shape (c,); zero if the body
+            can follow every motion.
     """
 
     parameters: tuple[Parameter, ...]
@@ -61,7 +61,7 @@ class Car:
 
     @cached_property
     def _motions(self) -> list[tuple[Any, ...]]:
-        """Signals of the velocities of the body, of its accelerations, and of the loads on it."""
+        """Signals of the body's velocities, of the body's accelerations, and of the loads on the body."""
         names = [one.name for one in self.parameters]
         return list(zip(*(MOTIONS[name] for name in MOTIONS if name in names), strict=True))
 
@@ -121,12 +121,12 @@ class Car:
         check_stands(self.body(p))
 
     def at_corners(self, *quantities: Signal) -> tuple[Signal, ...]:
-        """Returns the signals of quantities at every corner."""
+        """Returns the signals of each quantity at every corner."""
         return tuple(signal.at(corner) for signal in quantities for corner in self.corners)
 
     @property
     def states(self) -> tuple[Signal, ...]:
-        """Signals of the states."""
+        """Signals of the linear model's states."""
         return (
             *self.at_corners(signals.SUSPENSION_DEFLECTION),
             *self.tyres,
@@ -158,7 +158,7 @@ class Car:
         return rigid_body.linear_model(self.body(p), self.states, forces, roads, (*self.outputs, *self.on_demand))
 
     def motion(self, p: Parameters) -> "Motion":
-        """Returns the exact equations of motion. Their states include the deflection of every tyre."""
+        """Returns the exact equations of motion. The states of these equations include the deflection of every tyre."""
         from models.kinds.rigid_motion import rigid_motion
 
         lengths = self.at_corners(signals.SUSPENSION_DEFLECTION, signals.TYRE_DEFLECTION)
@@ -183,14 +183,15 @@ class Car:
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-        """Returns the loads [N, N m] that links and wheel inertia add to the moment of a force on the body, by name.
+        """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by
+        name.
 
         For the arguments, see `links.carried_loads`.
         """
         return links.carried_loads(p, self.corners, way, force, acceleration)
 
     def angles(self, p: Parameters) -> dict[str, dict[str, float]]:
-        """Returns the body's angles [rad] as sums of signals."""
+        """Returns the body's pitch and roll angles [rad], each as a weighted sum of signals."""
         return rigid_body.angles(self.body(p))
 
     def kind(self, name: str, lacking: Mapping[str, str] | None = None) -> VehicleKind:

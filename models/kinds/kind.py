@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Variation(CheckedFields):
-    """Range of a parameter, which has no effect; vehicle types written for earlier versions may still contain such a range.
+    """Obsolete range of a parameter, which has no effect; vehicle types written for earlier versions may still contain one.
 
     Attributes:
         name: name of the varied quantity.
@@ -88,7 +88,7 @@ class Parameter(CheckedFields):
 
     @property
     def number(self) -> SI:
-        """Unit, meaning and range of the parameter, in the form that keys of sections have."""
+        """Unit, meaning and range of the parameter, in the same form as for the keys in sections of a vehicle file."""
         least = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         return SI(self.unit, self.meaning, least, self.largest)
 
@@ -130,7 +130,7 @@ def nowhere_else(p: Parameters) -> float:
 
 
 def nothing(*_: Any) -> Any:
-    """Returns an empty mapping, for a vehicle type without loads, angles or checks."""
+    """Returns an empty mapping: the default for functions that return loads or angles, or check the parameters of a vehicle."""
     return {}
 
 
@@ -258,7 +258,7 @@ class RidePoints:
     Attributes:
         people: points at which a person sits or stands; may be empty. If the vehicle type does not name these points, the
             masses above the body are used.
-        others: other points of the body.
+        others: remaining points of the body at which the ride is measured.
         named: True if the vehicle type gives names to the points at which a person sits or stands.
     """
 
@@ -284,46 +284,50 @@ class VehicleKind(CheckedFields):
     All functions in the list of attributes take the parameters as a mapping from name to SI value.
 
     Attributes:
-        name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
+        name: value of `type` in a vehicle file, and file name of the type's `.py`, `.xml` and `.toml` files without the
+            extension.
         parameters: all parameters of a vehicle file.
         signals: signals that every vehicle of the type has: outputs of the linear model, and sensors of the MJCF with the same
             names.
         wheels: wheels in the order of the linear model's disturbances.
         linear_model: function of the parameters: `LinearModel` of all signals, including the signals on demand. The method
-            `model` returns the model of a vehicle.
+            `model` returns the linear model with only the outputs in `signals`.
         static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
-            signal. A wheel leaves the ground if its tyre deflection (`DampedTyre`: the equivalent deflection) exceeds this
-            value.
-        write_mjcf: function of the `MjSpec` of the type's `.xml` and of the parameters, which it writes into the `MjSpec`
-            without importing MuJoCo.
+            signal. A wheel leaves the ground if its tyre deflection (for a `DampedTyre`, the equivalent deflection) exceeds
+            this value.
+        write_mjcf: function of an `MjSpec` and of the parameters. The function writes the parameters into the `MjSpec`, which
+            is read from the type's `.xml` file, without importing MuJoCo.
         folder: folder of the `.xml` file.
         check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
             vehicle in combination.
         combined: signals without a sensor that are weighted sums of other signals, as {name: {other signal: factor}}.
-        suspended: suspensions of the type. None means: there is one suspension for each signal `suspension_deflection...`. Its
-            tendon `suspension...` and, if it exists, its force `control_force...` have the same suffix.
+        suspended: suspensions of the type. None means: there is one suspension for each signal `suspension_deflection...`. The
+            suspension's tendon `suspension...` and its force `control_force...`, if it exists, have the same suffix as this
+            signal.
         invariants: transmissibilities that no suspension force can change.
         on_demand: signals that a vehicle has only if its file names them. Signals on demand are outputs and sensors like other
             signals, but take no computing time if the file does not name them.
         loads: external loads on the body, in the order of the linear model's loads. If the vehicle has loads on its wheels, the
-            linear model contains them after these loads.
+            linear model contains the wheel loads after the loads on the body.
         wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
             file describes them.
-        carried: function that returns the loads that suspension links and wheel inertia add to the moment of a force on the
-            body. The arguments of this function are the parameters, the direction, the force [N] and the acceleration of the
-            wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a forward force.
-        angles: function of the parameters: angles of the body relative to level ground [rad] as sums of signals. The result has
-            the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
+        carried: function that returns the loads that suspension links and wheel inertia cause in addition to the moment of a
+            force on the body. The arguments of this function are the parameters, the direction, the force [N] and the
+            acceleration of the wheels [m/s2]. The direction is "roll_load" for a force to the right, or "pitch_load" for a
+            forward force.
+        angles: function of the parameters: angles of the body relative to level ground [rad], each as a weighted sum of
+            signals. The result has the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
         motion: function of the parameters: exact equations of motion, independent of the MJCF. The value is None if the type
             has no exact equations; MuJoCo is then compared only with the linear model.
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection signal; empty if
             unknown.
-        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
-            Empty unless the type belongs to a vehicle with such ratios.
+        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by the name of
+            the ratio's parameter. Empty, except in the copy of the type that belongs to a vehicle with such ratios.
         people: signals of the accelerations [m/s2] at points where a person sits or stands, the most important point first.
-            None means the masses above the body, if there are any. An empty tuple means that there is no person.
-        of_parts: signals of the internal states of force elements. These signals are also part of `signals`, but have no
-            sensors. Empty unless the type belongs to a vehicle with such elements.
+            None means the signals of the masses above the body, if a vehicle has such masses. An empty tuple means that there
+            is no person.
+        of_parts: signals of the internal states of force elements. The signals of internal states are also part of `signals`,
+            but have no sensors. Empty, except in the copy of the type that belongs to a vehicle with such elements.
         lacking: parameters that the type does not have although a user may expect them, as {beginning of the name: reason}.
     """
 
@@ -368,13 +372,13 @@ class VehicleKind(CheckedFields):
         return self  # this object is immutable, so no copy is needed
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
-        """Returns the vehicle type with the named signals on demand added after the other signals."""
+        """Returns the vehicle type with the signals on demand that are in `names` added after the other signals."""
         more = [*self.possible.values()][len(self.signals) :]
         named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
 
     def with_states(self, of_parts: tuple[Signal, ...]) -> "VehicleKind":
-        """Returns the vehicle type with other signals of the internal states of force elements.
+        """Returns the vehicle type after replacing its signals of the internal states of force elements.
 
         Args:
             of_parts: signals of the internal states, which replace the present signals.
@@ -398,7 +402,7 @@ class VehicleKind(CheckedFields):
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
     def with_wheel_loads(self, parameters: Parameters) -> "VehicleKind":
-        """Returns the vehicle type, with loads on the wheels if a vehicle with these parameters has any."""
+        """Returns the vehicle type; its loads include loads on the wheels if a vehicle with these parameters has such loads."""
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
 
@@ -437,7 +441,7 @@ class VehicleKind(CheckedFields):
     def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
         """Returns the contribution of preloads to the wheel rates of springs [N/m], by parameter.
 
-        Only motion ratios that change with travel cause this contribution.
+        Preloads contribute only at suspensions whose motion ratio changes with travel.
 
         Raises:
             InputError: the load of a spring is unknown, or springs with the same parameter carry different loads.
@@ -457,12 +461,12 @@ class VehicleKind(CheckedFields):
         return rates
 
     def motion_ratios(self, parameters: Parameters, forces: Iterable[str]) -> dict[str, float]:
-        """Returns the motion ratio of each force."""
+        """Returns the motion ratio of the suspension along which each force acts; 1 for forces that act elsewhere."""
         ratios = {part.force: part.motion_ratio(parameters) for part in self.suspensions}
         return {force: ratios.get(force, 1.0) for force in forces}
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with the signals of this type's vehicles. The most recent models are cached."""
+        """Returns the linear model whose outputs are the signals of this vehicle type. The most recent models are cached."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             model = self.full_model(parameters).of(names_of(self.signals))
@@ -493,7 +497,7 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def suspensions(self) -> tuple[Suspension, ...]:
-        """The suspensions, from `suspended` or from the usual signal names."""
+        """All suspensions: those in `suspended` or, if it is None, one for each signal `suspension_deflection...`."""
         if self.suspended is not None:
             return tuple(self.suspended)
         names, suspensions = names_of(self.signals), []
@@ -525,11 +529,11 @@ class VehicleKind(CheckedFields):
         return f"{parameter}{ending}" if f"{parameter}{ending}" in names else ""
 
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
-        """Returns the invariants of a vehicle, which are those of its type; there are none if a tyre has damping.
+        """Returns the invariants of the vehicle type for these parameters; empty if a tyre has damping.
 
-        For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At this
-        frequency, the suspension force does not change the transmissibility. With the tyre damping c, m_u s^2 + c s + k is not
-        zero at any frequency.
+        For a wheel with the mass m_u on a tyre with the stiffness k and no damping, m_u s^2 + k = 0 at one frequency. At the
+        frequency with m_u s^2 + k = 0, the suspension force does not change the transmissibility. With the tyre damping c, m_u
+        s^2 + c s + k is not zero at any frequency.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 
@@ -549,7 +553,7 @@ class VehicleKind(CheckedFields):
 
     @property
     def corners(self) -> dict[str, str]:
-        """Suffix of the names at each suspension, by the force of the suspension."""
+        """Suffix of the signal and parameter names at each suspension that has a control force, by the name of this force."""
         return {part.force: part.ending for part in self.suspensions if part.force}
 
     @property
@@ -582,8 +586,8 @@ class VehicleKind(CheckedFields):
         """Returns all parameters in the order of the vehicle type, after checking each parameter and their combination.
 
         Raises:
-            InputError: any error of `check_each`, or the combination is not a valid vehicle. The error is also raised if a tyre
-                is fully compressed, or has no contact with the road, in equilibrium.
+            InputError: `check_each` raises this error, or the combination is not a valid vehicle. The error is also raised if a
+                tyre is fully compressed, or has no contact with the road, in equilibrium.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)

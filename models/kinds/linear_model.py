@@ -3,14 +3,14 @@
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
 with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). Br and
-Cr are zero in the paper, and for every body that can follow all motions of the wheels. In these cases, only the road velocity
-acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a displacement.
+Cr are zero in the paper, and for every body that can follow all motions of the wheels. If Br and Cr are zero, only the road
+velocity acts on the vehicle. For a vehicle with four wheels, the warp of the road acts as a displacement.
 
-The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how the road velocity changes deflections, independent
-of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres with damping. Dw describes the
-effect on accelerations. With tyre damping, a vertical edge of the road is an impulse on the wheel. If the road height is held
-over each time step, the direct effect J changes the deflections between steps. Within a step, the mean road velocity of the
-step pushes the wheels.
+The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how the road velocity changes deflections directly,
+independently of all forces. The matrix Bt describes how the road velocity pushes the wheels through tyres with damping. The
+matrix Dw describes the direct effect of the road velocity on accelerations. With tyre damping, a vertical edge of the road is
+an impulse on the wheel. If the road height is constant within each time step, it jumps between two steps, and the deflections
+change by J times this jump. Within a step, the step's mean road velocity pushes the wheels through the damping of the tyres.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -53,13 +53,13 @@ class LinearModel:
         outputs: names of the p output signals.
         Br: gain from the road heights to x', shape (n, r).
         Cr: gain from the road heights to the output signals, shape (p, r).
-        twist_rate: road velocity that has the same weight in a design as one metre of road warp [rad/s].
+        twist_rate: factor [rad/s] that converts road warp to the road velocity with the same weight in a controller design.
         loads: names of the l loads on the body [N, N m].
         Bl: gain from the loads to x', shape (n, l); zero by default.
         Dl: gain from the loads to the output signals, shape (p, l); zero by default.
         Bt: part of Bw that acts through the damping of tyres, shape (n, r); zero by default.
         Dw: gain from the road velocities to the output signals, shape (p, r); zero by default.
-        heights: names of output signals that are heights above a flat datum. The state contains only deflections, so these
+        heights: names of output signals that are heights above a flat datum. The state contains only deflections, so such
             heights depend on the state and, through Cr, on the road heights.
 
     Raises:
@@ -113,7 +113,9 @@ class LinearModel:
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns the given signals that are heights above a flat datum. Only a law of a theoretical study may measure them."""
+        """Returns those of the given signals that are heights above a flat datum. Only a control law for a theoretical study
+        may measure such heights.
+        """
         return [name for name in self.heights if name in signals]
 
     @property
@@ -143,7 +145,7 @@ class LinearModel:
         return np.hstack([self.Dl, self.Dw]) if self.tyres_damp else self.Dl
 
     def of(self, outputs: Collection[str]) -> "LinearModel":
-        """Returns the model with selected output signals, in the order of the model."""
+        """Returns the model with only the selected output signals, in the order of this model."""
         chosen = [name in outputs for name in self.outputs]
         names = tuple(compress(self.outputs, chosen))
         rows = {name: getattr(self, name)[chosen] for name in OF_OUTPUTS}
@@ -170,7 +172,7 @@ class LinearModel:
         return replace(self, outputs=(*self.outputs, *rates), **self._with_rows(OF_OUTPUTS, len(index), rows))
 
     def _with_rows(self, matrices: Iterable[str], k: int, rows: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns matrices with k additional rows, which are zero where `rows` does not contain them."""
+        """Returns the named matrices with k additional rows each; the rows of a matrix that is not in `rows` are zero."""
         extended = dict[str, Array]()
         for name in matrices:
             given = getattr(self, name)
@@ -217,7 +219,7 @@ class LinearModel:
             rows: gains from the states to the lengths, shape (e, n). Neither the road nor a force may act directly on the
                 lengths.
             push: effect on x' of forces that pull along the lengths, shape (n, e).
-            shown: effect of these forces on the outputs, shape (p, e).
+            shown: effect of the forces along the lengths on the outputs, shape (p, e).
             stiffness: k [N/m], shape (e,).
             damping: c [N s/m], shape (e,).
         """
@@ -233,7 +235,7 @@ class LinearModel:
         Args:
             speeds: matrix S of gains from the states to the rates of the lengths, shape (e, n).
             push: matrix E of effects on x' of forces that pull along the lengths, shape (n, e).
-            shown: effect of these forces on the outputs, shape (p, e).
+            shown: effect of the forces along the lengths on the outputs, shape (p, e).
             inertance: b [kg], shape (e,).
         """
         if not inertance.any():
@@ -263,8 +265,8 @@ class LinearModel:
         Each actual force f follows f' = bandwidth (u - f), and replaces the requested force u in all signals.
 
         Args:
-            bandwidth: one corner frequency for all actuators [rad/s], or one for each actuator, shape (m,), with 0 for an
-                actuator without lag; None for actuators without lag.
+            bandwidth: corner frequency of all actuators, or of each actuator, shape (m,) [rad/s]; 0 for an actuator without
+                lag, None if no actuator has a lag.
         """
         if bandwidth is None:
             return self

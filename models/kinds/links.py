@@ -1,7 +1,7 @@
 """Suspension links: they define the axes about which a body rotates, and carry a share of the loads instead of the springs.
 
-Heights are above the ground. If a car has roll centres, the body rolls about the axis through the front and rear roll centres.
-At the centre of mass, this axis has the height
+All heights are measured from the ground. If a car has roll centres, the body rolls about the axis through the front and rear
+roll centres. At the centre of mass, the roll axis has the height
 
     h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (l: distances of the axles from the centre of mass, L:
     their sum).
@@ -34,11 +34,12 @@ solid axle. The line begins at the wheel centre if the body reacts the torque. E
 with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
 
 A link that carries load pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertial force
-of the wheels does not act on the body. The inertial force of the wheels acts at their height, so it is a moment on the tyres.
-In cornering, this moment acts on the same axle; in braking, on both axles together.
+of the wheels does not act on the body. The inertial force of the wheels acts at the height of the wheel centres, so it exerts a
+moment on the tyres. In cornering, this moment of the inertial force acts on the axle of these wheels; in braking, on both axles
+together.
 
-A half-car in the roll plane has a single axle. The body of this half-car rolls about its roll centre, and the links carry the
-whole lateral force.
+A half-car in the roll plane has a single axle. The body of a half-car in the roll plane rolls about its roll centre, and the
+links carry the whole lateral force.
 """
 
 from collections.abc import Collection, Sequence
@@ -93,20 +94,20 @@ def arms(p: Parameters) -> tuple[float | None, float | None]:
 
 
 def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
-    """Returns the loads on the wheels at these corners; none if the vehicle file describes neither links nor wheel centres."""
+    """Returns the loads on the wheels at `corners`; empty if the vehicle file describes neither links nor wheel centres."""
     carrying = any(part.name in p for part in (ROLL_CENTRE, WHEEL_CENTRE, *ROLL_CENTRES, *LENGTHWAYS) if part is not PITCH_CENTRE)
     return tuple(BodyLoad(f"{WHEEL_LOAD.name}_{corner}", f"unsprung_{corner}") for corner in corners) if carrying else ()
 
 
 def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads [N, N m] that links and wheel inertia add to the moment of a force on the body, by name.
+    """Returns the loads [N, N m] that links and wheel inertia cause in addition to the moment of a force on the body, by name.
 
     Args:
         p: parameters of the vehicle.
         corners: names of the corners, such as "front" or "front_left".
         way: direction of the force: `roll_load` for a force to the right, `pitch_load` for a forward force.
         force: force on the body at its centre of mass [N], for example an inertial force or wind.
-        acceleration: acceleration whose inertial force on the wheels has the same direction [m/s2]; 0 for wind.
+        acceleration: acceleration [m/s2] that causes the inertial force on the wheels, in the direction of `force`; 0 for wind.
     """
     if not wheel_loads(p, corners):
         return {}
@@ -144,7 +145,7 @@ def track(axle: str, p: Parameters) -> float:
     """Returns the track width of an axle [m], from `track_AXLE` or, if this is not given, from `track`.
 
     Raises:
-        InputError: neither parameter is given.
+        InputError: neither `track_AXLE` nor `track` is given.
     """
     if (own := p.get(f"track_{axle}", p.get("track"))) is None:
         raise InputError(f"the distance of left and right wheels is missing; give track or track_{axle}, in m")
@@ -179,6 +180,6 @@ def _distances(p: Parameters) -> list[float]:
 
 
 def _shares(p: Parameters) -> list[float]:
-    """Returns the share of each axle in a lateral force at the centre of mass."""
+    """Returns the share that each axle carries of a lateral force at the centre of mass."""
     front, rear = _distances(p)
     return [rear / (front + rear), front / (front + rear)]

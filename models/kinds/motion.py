@@ -28,7 +28,7 @@ class Motion(Protocol):
         ...
 
     def usable(self, state: Array) -> Array:
-        """Returns True for each state at which the equations of motion are valid, shape (T,)."""
+        """Returns an array that is True for each state at which the equations of motion are valid, shape (T,)."""
         ...
 
     def read(self, state: Array, heights: Array) -> Array:
@@ -36,7 +36,7 @@ class Motion(Protocol):
         ...
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Array:
-        """Returns the rates of the states, shape (T, n).
+        """Returns the time derivatives of the states, shape (T, n).
 
         Args:
             state: states, shape (T, n).
@@ -57,7 +57,9 @@ class Motion(Protocol):
 
 
 class StoredEnergy(Protocol):
-    """Energy that a vehicle stores, from its equations of motion. A custom vehicle type may omit these members of `Motion`."""
+    """Energy that is stored in a vehicle, computed from the equations of motion. The `Motion` of a custom vehicle type may omit
+    the members of this class.
+    """
 
     @property
     def joints(self) -> tuple[str, ...]:

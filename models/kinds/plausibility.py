@@ -1,7 +1,7 @@
-"""Rules that find numbers of vehicles and roads that probably have the wrong unit, or are swapped.
+"""Rules that find implausible numbers of vehicles and roads, which probably have the wrong unit or are swapped.
 
-If a quantity differs between trucks, bicycles and model-scale test benches, its limit is relative to other quantities of the
-vehicle. `models.parts.plausibility` contains the warnings about characteristics.
+If the usual values of a quantity differ between trucks, bicycles and model-scale test benches, its limit depends on other
+quantities of the vehicle. `models.parts.plausibility` contains the warnings about characteristics.
 """
 
 import math
@@ -28,19 +28,21 @@ class KnownQuantity(NamedTuple):
 
     @property
     def rough(self) -> str:
-        """The value with few digits."""
+        """Text of the value, rounded to a few digits."""
         return about(self.value) if self.value < 100 else str(round(self.value))
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Rule for a warning about quantities.
+    """Rule that warns about improbable quantities of a vehicle or road.
 
     Attributes:
-        of: names of the quantities. The rule applies at a place of the vehicle where all of them are known.
-        odd: function of the values that returns True if they are improbable.
+        of: names of the quantities that the rule compares. The rule applies at a place of the vehicle where all these
+            quantities are known.
+        odd: function of the values that returns True if the values are improbable.
         words: text of the warning, with the names of the quantities in braces.
-        rank: order of the rules. A rule gives no warning if a rule with a lower rank, other than 0, already gives one.
+        rank: priority of the rule, 1 for the highest; a rule with rank 0 always applies. A rule gives no warning if a rule with
+            a lower rank, other than 0, already gives one.
     """
 
     of: str
@@ -100,7 +102,7 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     """Returns a warning for each rule that finds improbable quantities, about the first place at which they are found.
 
     Args:
-        places: the known quantities at each place, by the names that the rules use.
+        places: known quantities at each place of the vehicle, such as a suspension or sensor, by the names in the rules.
     """
     places, said, first = list(places), list[str](), 9
     for rule, names in zip(RULES, NAMES, strict=True):
@@ -206,7 +208,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
 
 
 def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, KnownQuantity]:
-    """Returns the quantities by name, without those that are None or 0. Each value has a name, a value and a unit."""
+    """Returns the quantities by name, except those whose value is None or 0. An argument contains name, value and unit."""
     return {of: KnownQuantity(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
 
 

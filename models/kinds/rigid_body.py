@@ -16,24 +16,25 @@ axle, a = (d_left - d_right) / track. The moment k a of the bar acts as a pair o
 bars, K_s is diagonal. Each bar adds k (e_l - e_r)(e_l - e_r)' / track^2, where e_l and e_r are the unit vectors of its two
 corners.
 
-A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then n' (d +
-t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the vehicle. The state
-therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations then contain
-additional terms for the warp of the road:
+A rigid body cannot follow every motion of four wheels. Let n be the warp motion that a rigid body cannot follow (n' S = 0).
+Then n' (d + t + z_r) = 0 at all times, so not only the velocity but also the displacement of the road's warp acts on the
+vehicle. The state therefore contains only the modes P t of the tyre deflections that a rigid body can follow. The equations
+then contain additional terms for the warp of the road:
 
     t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1.
 
 If P n = 0, as for axles of equal track width, then E = P+ and N = n n' / n'n.
 
 Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
-mass. For this reason, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear model by
-terms that are quadratic in the amplitude.
+mass. Because of this geometry, the preloads have no effect in the linear model. The MuJoCo model (MJCF) differs from the linear
+model by terms that are quadratic in the amplitude.
 
 If suspension links define a roll or pitch axis (`links.py`), the body rotates about this axis, which is b below the centre of
 mass. The rotation about this axis adds m_s b^2 to M, and a moment W q of the weight, where the entry of W for each angle is m_s
-g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. In this case, too, the
-road height therefore acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed tendons.
-Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body further.
+g b. The angles are relative to level ground, q = S+ (d + t + z_r). On a banked road, the body leans. If links define an axis,
+the road height therefore also acts on the vehicle. In the MJCF, the hinges lie on the axes, and the suspensions are fixed
+tendons. Vertical struts instead of fixed tendons would lean when the body sways, and their preload would rotate the body
+further.
 """
 
 from collections.abc import Sequence
@@ -80,7 +81,9 @@ def per_axle(
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter for each given place, by default for each axle. `options` are further arguments of `Parameter`."""
+    """Returns one parameter for each place; the default places are the two axles. `options` are further arguments of
+    `Parameter`.
+    """
     return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
 
@@ -127,7 +130,7 @@ class Corner:
         Args:
             p: parameters of the vehicle.
             name: name of the corner.
-            place: axle or side whose parameters apply.
+            place: axle or side whose parameters the corner has.
             y: position to the left of the centre of mass [m].
         """
         x = {"front": 1.0, "rear": -1.0}.get(place, 0.0) * p.get(f"axle_distance_{place}", 0.0)
@@ -260,9 +263,9 @@ def linear_model(
         states: signals of the state (d, P t, q', z_u'), in total c + p + k + c signals.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals. First the states, other tyre deflections, q'', and velocity and acceleration of the body above
-            each corner. Then control forces, accelerations of the wheels, and heights (of the body, above each corner, and of
-            the wheels).
+        outputs: output signals. The first signals are the states, the other tyre deflections, q'', and the velocities and
+            accelerations of the body above each corner. The next are the control forces and the wheel accelerations. The last
+            are the heights of the body, of its points above each corner, and of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -362,7 +365,7 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
         inertia: moment of inertia [kg m2].
         mass: mass of the body [kg].
         size: length of the body that limits the radius of gyration [m].
-        of: name of this length for the message, such as "wheelbase".
+        of: name of the length `size` for the message, such as "wheelbase".
     """
     radius = float(np.sqrt(inertia / mass))
     if radius > size:
@@ -438,7 +441,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _tendon_name(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Replaces a strut by a fixed tendon whose length is the deflection of a guided wheel, and returns it."""
+    """Replaces a strut by a fixed tendon whose length is the deflection of a guided wheel, and returns this tendon."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

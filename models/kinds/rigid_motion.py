@@ -71,10 +71,10 @@ class RigidMotion:
         shape: matrix S of the `RigidBody`, shape (c, k).
         yaw_inertia: moment of inertia I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
-        further: names of other signals. The first names are those of the k accelerations of the body. The next names are those
-            of the velocities and accelerations of its c points above the hubs, and of the accelerations of the hubs. The last
-            names are those of the heights of the centre of mass, of the c points and of the hubs. For a body that only moves
-            vertically, these are the acceleration and the height of the body and of its hub.
+        further: names of signals that are not in `names`. The first names are those of the k accelerations of the body. The
+            next names are those of the velocities and accelerations of its c points above the hubs, and of the accelerations of
+            the hubs. The last names are those of the heights of the centre of mass, of the c points and of the hubs. For a body
+            that only moves vertically, `further` contains the names of the acceleration and height of the body and of its hub.
     """
 
     body: RigidBody
@@ -248,7 +248,7 @@ class RigidMotion:
         return inertias, entries
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
-        """Returns q'' for generalised forces, shape (T, k)."""
+        """Returns q'', the accelerations of the modes, for generalised forces, shape (T, k)."""
         mass, b = self.body.mass, self.body.roll_arm or 0.0
         if q.shape[1] == 1:
             return push / mass - GRAVITY

@@ -1,8 +1,8 @@
 """Vehicle types with a seat: a person above a point of the body, on a spring and a damper in parallel.
 
-The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, this mass
-is at the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium is given
-by
+The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, the mass
+m_p is at the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium is
+given by
 
     s' = z_p' - (z' - x theta' + y phi'),     m_p z_p'' = -(k_p s + c_p s'),
 
@@ -110,7 +110,7 @@ def seated_kind(kind: VehicleKind) -> VehicleKind:
 
 
 def _linear_model(of_car: Callable[[Parameters], LinearModel], p: Parameters) -> LinearModel:
-    """Returns the linear model of a car with the seat's travel and velocity as its last states."""
+    """Returns the linear model of a car with a seat; the last states are the seat's travel and velocity."""
     car, seat = of_car(p), Seat.of(p)
     point, lift, shown = np.zeros(len(car.A)), np.zeros(len(car.A)), np.zeros(len(car.C))
     for load, rates, arm in zip(LOADS, RATES, seat.arms, strict=True):
@@ -136,7 +136,7 @@ def _motion(of_car: Callable[[Parameters], Any], p: Parameters) -> "Motion":
 def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Parameters) -> None:
     """Writes a car with a seat: the body `seat` on the body `sprung`, its joint with the preloaded spring, and sensors.
 
-    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above this point.
+    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above the point mass.
     """
     of_car(spec, p)
     seat, sprung = Seat.of(p), spec.body("sprung")

@@ -1,8 +1,8 @@
 """Exact equations of motion of a car with a seat, for large pitch and roll angles of the body.
 
 The coordinates are y = (q, s), with q = (z, theta, phi) of the body and the seat's travel s. The centre of mass of the body is
-at the height c above the pitch axis and b above the roll axis (`rigid_motion.py`). Both heights are 0 if links do not define
-axes. Relative to the road, the seat's mass is at the position P(y), where
+at the height c above the pitch axis and b above the roll axis (`rigid_motion.py`). The heights b and c are 0 if links do not
+define axes. Relative to the road, the seat's mass is at the position P(y), where
 
     Y = y cos phi - (s + b) sin phi,     h = c - b + y sin phi + (s + b) cos phi,
     P = (x cos theta + h sin theta,  Y,  z - c - x sin theta + h cos theta).

@@ -1,4 +1,4 @@
-"""Table of signals. Linear models, MJCF, vehicle files, logs and plots all use these names."""
+"""Table of signals. Linear models, MJCF, vehicle files, logs and plots all use the signal names in this table."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

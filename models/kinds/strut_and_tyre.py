@@ -2,19 +2,19 @@
 
 A suspension is a spring that is preloaded with the static load. Without a spring, a constant force carries the load.
 
-A strut without a spring is purely active (Thompson 1976, Hrovat 1997). Its actuator then applies the static load and the force
-u of the equations. The limits and the lag in `[limits]` apply only to u.
+A strut without a spring is purely active (Thompson 1976, Hrovat 1997). The actuator of a strut without a spring applies the
+static load and the force u of the equations. The limits and the lag in `[limits]` apply only to u.
 
 A tyre is a spring that can push but not pull. The damping of a tyre acts only while the tyre touches the road. A tyre with
 damping pushes its hub upward with
 
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
-where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height is constant over a time step, and so is z_r'.
-A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0.
-At this moment, the equivalent deflection t + (c / k) t' reaches the static deflection. Without damping, the equivalent
-deflection is the deflection t. In the air, the tyre exerts no force. The rubber of the tyre is assumed to return immediately to
-its free shape, without a force on the hub.
+where l is the tyre length and z_r' the road velocity. In MuJoCo, the road height and the road velocity z_r' are both held
+constant over a time step. A mocap body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road
+when its total force is 0. When the total force reaches 0, the equivalent deflection t + (c / k) t' reaches the static
+deflection. Without damping, the equivalent deflection is the deflection t. In the air, the tyre exerts no force. The rubber of
+the tyre is assumed to return immediately to its free shape, without a force on the hub.
 """
 
 from typing import Any

@@ -37,8 +37,8 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
     Raises:
         InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. The functions of the vehicle
-            type also raise this error if they fail. `check_together` also raises this error if the results of these functions
-            are wrong.
+            type also raise this error if they fail. `check_together` also raises this error if results of the vehicle type's
+            functions are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
@@ -59,13 +59,14 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 def print_to_stderr(*values: Any, file: Any = None, **options: Any) -> None:
     """Prints to stderr.
 
-    Custom vehicle types print to stderr in this way, because stdout belongs to the command and may be JSON.
+    The `print` of custom vehicle types is replaced by this function, because stdout is reserved for the output of the command,
+    which may be JSON.
     """
     print(*values, file=file or sys.stderr, **options)
 
 
 def check_parts(kind: VehicleKind) -> None:
-    """Checks that the parts of a vehicle type fit together, except its functions. `CheckedFields` checks each part separately.
+    """Checks that the parts of a vehicle type, except its functions, fit together. `CheckedFields` checks each part separately.
 
     Raises:
         InputError: a name is used twice, or a part refers to a name that the vehicle type does not have.
@@ -138,7 +139,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
 
 
 def _check_model(model: LinearModel, kind: VehicleKind) -> None:
-    """Refuses a linear model if names of its vehicle type are missing, or if its states and inputs are not among its outputs."""
+    """Raises InputError if a linear model lacks names of its vehicle type, or has states or inputs that are not also outputs."""
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven

@@ -1,1 +1,3 @@
-"""Control laws: linear, semi-active and Python laws, road preview, and the designs that a controller's section requests."""
+"""Control laws: linear, semi-active and Python laws, road preview, and the designs that a section `[controllers.NAME]`
+requests.
+"""

@@ -117,7 +117,7 @@ def goes(what: str, parts: Collection[str]) -> bool:
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each in the form in which the section contains it. Values are not checked."""
+    """Returns the parts of a section, each with its text as written in the section. Values are not checked."""
     tolerance = section.get("tolerance")
     errors = [isinstance(one, Mapping) for one in tolerance.values()] if isinstance(tolerance, Mapping) else []
     goal_keys = [key for key in GOALS if key in section and not (key == "tolerance" and errors and all(errors))]
@@ -157,8 +157,8 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
         parts: parts of the controller's section as written in the file; the type of the controller comes first.
 
     Raises:
-        InputError: two parts cannot be combined. The message gives the reason and, for each of the two parts, the alternatives
-            with which it can be combined.
+        InputError: two parts cannot be combined. The message gives the reason and lists, for each of the two parts, options
+            with which this part can be combined.
     """
     for one, other in combinations(parts, 2):
         if why := refusal(one, other):
@@ -185,11 +185,11 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part as text, followed by the options that it can be combined with instead of another part.
+    """Returns a text that names a part and the options with which this part can be combined, instead of `beside`.
 
     Args:
         part: part to describe.
-        beside: other part, with which the part cannot be combined.
+        beside: part with which `part` cannot be combined.
         written: the part as written in the section.
     """
     if {part, beside} <= KINDS.keys():

@@ -1,8 +1,8 @@
-"""Filters of a vehicle file: frequency weights, such as those of ISO 2631-1, and the shape of a road spectrum.
+"""Filters in a vehicle file, used as frequency weights (such as those of ISO 2631-1) and as shapes of road spectra.
 
 A filter is a stable and proper ratio of polynomials in s, or several such ratios in series. The state-space form of each ratio
-is the controllable form, with a separate unit of time. The coefficients are the same as in the vehicle file, except for the
-rounding error of a division.
+is the controllable form, in which time has a unit that depends on the ratio's poles. The coefficients in the controllable form
+are those of the vehicle file, except for the rounding error of one division.
 
 A weight may have one pole at 0, an integrator: F(s) = r / s + F_0(s), where r is the residue at 0, and F_0 is stable and
 proper.
@@ -13,7 +13,7 @@ With w_i = 2 pi f_i,
     H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
            * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2.
 
-The factors of these filters are the band limits, the transition from acceleration to velocity, and the upward step. W_d does
+The factors of W_k and W_d are the band limits, the transition from acceleration to velocity, and the upward step. W_d does
 not have an upward step.
 """
 
@@ -77,8 +77,8 @@ class Filter:
 
     Attributes:
         sections: numerator and denominator of each section in series; coefficients in descending powers of s.
-        name: name of a known filter; empty for a filter with given coefficients.
-        integrates: True if its only section may have a pole at 0.
+        name: name of a built-in filter; empty for a filter that the file gives by its coefficients.
+        integrates: True if the filter has only one section, which may have a pole at 0.
 
     Raises:
         InputError: a polynomial is invalid or zero, or its degree is too high. The error is also raised if the filter is
@@ -125,7 +125,7 @@ class Filter:
 
     @functools.cached_property
     def realisation(self) -> LinearLaw:
-        """State-space form of all sections in series, in units that are powers of two.
+        """State-space form of all sections in series; the units of the states are powers of two.
 
         The state of an integrator is the last state.
         """
@@ -167,7 +167,7 @@ POLYNOMIAL = ListedValues(
 
 @dataclass(frozen=True)
 class FilterSection(Section):
-    """Section of a filter in a vehicle file: the name of a known filter, or its coefficients."""
+    """Section of a filter in a vehicle file: the name of a built-in filter, or the coefficients of a filter."""
 
     integrates: ClassVar[bool] = False  # True if the filter may have a pole at 0
 
@@ -212,7 +212,7 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
 
 
 def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> None:
-    """Refuses a section that is improper or unstable, or has a pole or gain out of range.
+    """Raises InputError if a section is improper or unstable, or if a pole or the gain is out of range.
 
     Args:
         above: numerator coefficients.

@@ -51,7 +51,7 @@ WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of a gain error that is 
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
-    """Returns the weights of a norm by signal; if only signals without weights are given, all weights are 1.
+    """Returns the weight of each signal in a norm; if the file lists signals without weights, all weights are 1.
 
     Returns None for the output z of `[performance]`.
     """
@@ -83,7 +83,7 @@ def _band(value: Any, context: Mapping[str, Any]) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class NormOf(Section):
-    """Norm from the road to weighted signals."""
+    """Norm of the response from the road to weighted signals."""
 
     signals: Annotated[Mapping[str, float], ReadBy("weights by signal, or `performance`", _weighted_signals)] | None = None
     band: Annotated[
@@ -93,18 +93,18 @@ class NormOf(Section):
 
     @property
     def narrow(self) -> bool:
-        """True for a norm in a frequency band, False for all frequencies."""
+        """True if the norm is restricted to a frequency band, False if it covers all frequencies."""
         return self.band != EVERYWHERE
 
     @property
     def rates(self) -> tuple[float, float]:
-        """The band as angular frequencies [rad/s]."""
+        """Lowest and highest angular frequency of the band [rad/s]."""
         low, high = self.band
         return 2 * math.pi * low, 2 * math.pi * high
 
     @property
     def text(self) -> str:
-        """The norm as text."""
+        """Text that describes the norm: its signals and its band."""
         low, high = self.band
         where = "" if not self.narrow else f" from {low:g} Hz up" if high == float("inf") else f" from {low:g} to {high:g} Hz"
         of = "" if self.signals is None else f" of {', '.join(self.signals)}"
@@ -126,7 +126,9 @@ def _signal(value: Any, context: Mapping[str, Any]) -> str:
 
 
 def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns the largest magnitude of the signal in a bound [SI]. The file gives this magnitude in the unit of the signal."""
+    """Returns the largest magnitude that a bound allows for a signal [SI]. The vehicle file gives the magnitude in the unit of
+    the signal.
+    """
     signal = context.get("peak", context.get("energy_peak"))
     return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
 
@@ -166,7 +168,7 @@ class EnergyBound(Section):
 
 @dataclass(frozen=True)
 class DecayBound(Section):
-    """Bound on the poles: all real parts are below minus this rate."""
+    """Bound on the poles: the real parts of all poles are below minus the decay rate."""
 
     decay: Annotated[float, SI("rad/s", "smallest rate of decay of the loop", SMALLEST)]
 
@@ -219,7 +221,7 @@ def _error(where: str, given: Any) -> float | Filter:
 
 
 def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool, ...], ...]:
-    """Returns a row per force, with True for each measurement that may act on it; or the name of a law's structure."""
+    """Returns a row for each force, with True for each measurement that may act on this force, or the name of a law structure."""
     measured, corners = context.get("measured", ()), context["corners"]
     if value in PATTERNS:
         return value
@@ -294,7 +296,9 @@ class Goals(Section):
 
     @property
     def goals(self) -> "Goals":
-        """The goals of a static gain, without frequency-dependent uncertainties and without the structure of a dynamic law."""
+        """The goals that also apply to a static gain; frequency-dependent uncertainties and structures of dynamic laws are
+        omitted.
+        """
         own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
         own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}
         own["structure"] = None if self.structure in PATTERNS else self.structure
@@ -316,8 +320,8 @@ class Goals(Section):
     def force_error(self, force: str) -> float:
         """Returns the relative uncertainty of an actuator's force.
 
-        If a force is measured, its name refers to the uncertainty of the measurement. The key `force` then gives the
-        uncertainty of the actuator.
+        If a controller measures the force, the name of the force refers to the uncertainty of this measurement. The key `force`
+        then gives the uncertainty of the actuator.
         """
         return self.tolerance.get(FORCE, self.tolerance.get(force, 0.0))
 

@@ -12,7 +12,8 @@ Design = Callable[[str], T]  # type of a function that designs a linear controll
 
 
 class ControlLaw:
-    """Base class of all controllers. The defaults are for a law without states, preview, additional delay and certificate.
+    """Base class of all controllers. The default attributes describe a law without states, preview, additional delay or
+    certificate.
 
     A controller also has the attributes `linear`, True if linear analysis applies, and `user_code`, True for a Python law.
     """
@@ -29,7 +30,9 @@ class ControlLaw:
 
     @property
     def law_key(self) -> DriverKey:
-        """Name of the law's driver in `sim.drive.drivers.registry`, then values that are equal for laws with the same driver."""
+        """Name of the law's driver in `sim.drive.drivers.registry`, followed by values that are equal for laws that share a
+        driver.
+        """
         return ("linear",)
 
     @property
@@ -44,7 +47,7 @@ class ControlLaw:
 
     @property
     def own_delay(self) -> float:
-        """Delay of the outputs that is part of the law itself [samples]."""
+        """Delay of the forces that the law itself causes [samples]; it is part of the delay in the vehicle file."""
         return 0
 
     def preview_samples(self, period: float) -> int:
@@ -56,7 +59,7 @@ class ControlLaw:
         return 0
 
     def state_scale(self, period: float) -> float:
-        """Returns the factor that converts the states of a linear law in a run to the states of the law itself."""
+        """Returns the factor that converts the states of a linear law, as sampled for a run, to the states of the law itself."""
         return 1.0
 
 
@@ -64,7 +67,7 @@ class LawSource:
     """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
     A source also has two attributes: `given` is its `LinearLaw`, and `request` is its `DesignRequest`. Each attribute is None
-    if the source is of another type.
+    if the source is of a different type.
     """
 
     linear = True  # False if linear analysis does not apply to the law
@@ -78,14 +81,14 @@ class LawSource:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The source as keys of a controller's section."""
+        """The source of the law, as keys and values of a controller's section."""
         return {}
 
     def record_from(self, folder: Path) -> dict[str, Any]:
-        """Returns the key that gives the path of the law's file relative to another folder; empty for a law without a file.
+        """Returns the key that gives the path of the law's file relative to `folder`; empty for a law without a file.
 
         Raises:
-            InputError: the file is neither in that folder nor in a folder below it; vehicle files can refer only to such files.
+            InputError: the file is neither in `folder` nor in a folder below it; vehicle files can refer only to such files.
         """
         return {}
 
@@ -98,7 +101,9 @@ class LawSource:
         return {}
 
     def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
-        """Returns the section of the law with other `values`, as in a vehicle file."""
+        """Returns the law's part of a controller's section, as in a vehicle file, after replacing numbers of the law by
+        `values`.
+        """
         return self.record
 
     def driver(self, name: str, measured: tuple[str, ...], design: Design[T], read: Callable[[], str] | None = None) -> T:
@@ -106,10 +111,10 @@ class LawSource:
 
         Args:
             name: name of the controller, as in the vehicle file.
-            measured: names of its measured signals.
+            measured: names of the signals that the controller measures.
             design: function that designs or certifies a linear controller with a given name.
-            read: function that returns the text of a Python law; by default, the text is read from the law's file. This
-                function does not execute the text.
+            read: function that returns the text of a Python law; by default, the text is read from the law's file. The function
+                `read` does not execute the text.
 
         Raises:
             InputError: the file of the law cannot be read, or `design` raises this error.
@@ -118,5 +123,5 @@ class LawSource:
 
 
 def no_design(name: str) -> NoReturn:
-    """Raises an InputError, because this law is not a linear controller that can be designed."""
+    """Raises an InputError: the controller has a linear law, which `synth.design_controllers` must design."""
     raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")

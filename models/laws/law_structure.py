@@ -1,4 +1,5 @@
-"""Structure of a dynamic law in a controller's section (order, one law per force, PI, PID), and PID laws with given numbers.
+"""Structure of a dynamic law in a controller's section (order, one law per force, PI, PID), and PID laws whose numbers a file
+gives.
 
 order = 2
 structure = "corner"
@@ -33,9 +34,9 @@ EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
 def pid_filter(kind: str, filter: float) -> LinearLaw:
-    """Returns the system of a PI or PID law from y to [y; its integral; its filtered derivative], in continuous time.
+    """Returns the continuous-time system from y to the three signals y, integral of y, and filtered derivative of y.
 
-    A PI law has no derivative.
+    For a PI law, there is no derivative.
     """
     if kind == PI:
         return LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))
@@ -49,14 +50,16 @@ def pid_filter(kind: str, filter: float) -> LinearLaw:
 
 
 def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
-    """Returns a system that consists of independent copies of another system, one copy per signal."""
+    """Returns a system that consists of independent copies of a system, one copy for each signal."""
     return LinearLaw(
         *(np.kron(np.eye(count), getattr(one, name)) for name in ("A", "B", "C", "D")), sample_period=one.sample_period
     )
 
 
 def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-    """Returns the gain of each force. The file gives one number for all forces, or a list with one number per force."""
+    """Returns one gain of a PI or PID law for each force. The file gives one number for all forces, or a list with one number
+    per force.
+    """
     m = len(context["corners"])
     several = value if isinstance(value, list | tuple) else [value] * m
     if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
@@ -95,7 +98,8 @@ class StructureSection(Goals):
     ) = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
-        """Returns the structure of a law that is designed; None for a static gain, a full-order law or a given law.
+        """Returns the structure of a law that is designed; None for a static gain, a full-order law, or a law whose numbers are
+        given.
 
         Args:
             measured: names of the measured signals.
@@ -123,7 +127,7 @@ class StructureSection(Goals):
         return LawStructure(rows=rows, kind=self.structure, filter=pid.filter or 0.0)
 
     def pid_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the PID law with given numbers, without states that have no effect; None for any other law.
+        """Returns the PID law whose numbers the section gives, without states that have no effect; None for any other law.
 
         For arguments and errors, see `law_structure`.
         """
@@ -151,7 +155,7 @@ class StructureSection(Goals):
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
     """Returns the numbers of a PI or PID law for each force, as in `pid` of a vehicle file; empty for any other law.
 
-    The states of this law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
+    The states of a PI or PID law are integrals and filtered signals. The poles are 0 for integrals and -1 / filter for filtered
     signals. The input gains are 1 and 1 / filter.
     """
     rates = -np.diag(law.A)
@@ -179,12 +183,12 @@ def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
 
 
 def pid_text(law: LinearLaw) -> str:
-    """Returns a PI or PID law as in a vehicle file, with a table for each force; empty for any other law."""
+    """Returns a PI or PID law as a vehicle file contains it, with a table for each force; empty for any other law."""
     return pid_tables(pid_gains(law))
 
 
 def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
-    """Returns gains by name as in a vehicle file, with a table for each force."""
+    """Returns the gains as a vehicle file contains them: for each force, a table of gains by name."""
     tables = [", ".join(f"{name} = {entry(value)}" for name, value in each.items()) for each in gains]
     return ", ".join(f"pid = {{ {one} }}" for one in tables)
 

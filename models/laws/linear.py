@@ -44,7 +44,7 @@ class LinearLaw(LawSource):
 
     Raises:
         InputError: a matrix has the wrong shape, or entries that are not real and finite or exceed `LARGEST`, or there are too
-            many states. The message gives the matrix.
+            many states. The message states which matrix is invalid.
     """
 
     request = None
@@ -114,14 +114,14 @@ class LinearLaw(LawSource):
     def matrix(self) -> Array:
         """[D, C; B, A], shape (m + k, q + k).
 
-        Columns are measurements and states. Rows are forces, followed by rates of the states (or next states of a discrete
-        law).
+        The columns belong to the measurements and the states. The rows belong to the forces, followed by the rates of the
+        states (for a discrete law: the next states).
         """
         return np.block([[self.D, self.C], [self.B, self.A]])
 
     @property
     def acts(self) -> bool:
-        """False if the force is 0 for all measurements."""
+        """False if the law returns a force of 0 whatever the measurements are."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
     @property
@@ -178,7 +178,8 @@ class LinearLaw(LawSource):
         return replace(self, C=np.where(rows, self.C, 0.0), D=np.where(rows, self.D, 0.0))
 
     def fed_back(self, through: Array) -> "LinearLaw":
-        """Returns the law for measurements y0, if this law is for y = y0 + `through` u; solves the algebraic loop.
+        """Returns the equivalent law for measurements y0, where this law measures y = y0 + `through` u; solves the algebraic
+        loop.
 
         Args:
             through: feedthrough from the forces to the measurements, shape (q, m).
@@ -196,7 +197,7 @@ class LinearLaw(LawSource):
     def continuous(self) -> "LinearLaw":
         """Returns the law in continuous time.
 
-        For a discrete law, this is the continuous law whose bilinear (Tustin) transform is the discrete law.
+        For a discrete law, the result is the continuous law whose bilinear (Tustin) transform is the discrete law.
 
         Raises:
             InputError: the law has a pole at -1, or the result has entries that exceed `LARGEST`.
@@ -232,12 +233,12 @@ class LinearLaw(LawSource):
         return f"x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], with {states_text(self)}"
 
     def sampled(self, period: float) -> "LinearLaw":
-        """Returns the law as a computer executes it, at a given sample period.
+        """Returns the discrete law that a computer executes at a sample period.
 
         For a continuous law, the states are exact if the measurements change linearly between samples (ramp-invariant or
-        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike measurements that are held between samples, this
-        method adds no delay. A state that is fast relative to the period settles immediately, but would oscillate with Tustin's
-        rule. A discrete law is unchanged at its own sample period.
+        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike a method that holds measurements between samples,
+        this method adds no delay. With this method, a state that is fast relative to the period settles immediately; with
+        Tustin's rule, it would oscillate. A discrete law is returned unchanged at its own sample period.
 
         Args:
             period: sample period [s].
@@ -262,14 +263,14 @@ class LinearLaw(LawSource):
         return LinearLaw(Phi, Gamma - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period, self.anti_windup)
 
     def _at(self, period: float) -> bool:
-        """Returns True if the period is the law's own sample period."""
+        """Returns True if `period` equals the law's own sample period."""
         return self.sample_period is not None and bool(np.isclose(self.sample_period, period, rtol=1e-9, atol=0))
 
 
 def without_loop(direct: Array) -> Array:
     """Returns I - `direct`, shape (m, m).
 
-    The inverse of this matrix solves the algebraic loop that arises if forces act directly on measurements.
+    The inverse of I - `direct` solves the algebraic loop that arises if forces act directly on measurements.
 
     Args:
         direct: feedthrough from the actual forces to the requested forces, shape (m, m).
@@ -306,7 +307,7 @@ def unchecked_static_law(gain: Array) -> LinearLaw:
 
 
 def law_of(record: Mapping[str, Any]) -> LinearLaw:
-    """Returns the law from a `LinearLaw.record`, which may have additional keys.
+    """Returns the law that a `LinearLaw.record` describes; the record may have additional keys.
 
     Raises:
         KeyError: a matrix is missing.

@@ -1,13 +1,14 @@
-"""Preview: the part of a linear law that responds to the road ahead, a feedforward in addition to the feedback u = K y.
+"""Preview: the part of a linear law that responds to the road ahead. The preview is a feedforward in addition to the feedback u
+= K y.
 
 The force is the integral of F(s) d(t + s) over s from 0 to T, where d contains the road velocities w and heights z_r under the
 wheels:
 
     F(s) = C exp(A s) [B, H]    on [w; z_r].
 
-A computer knows the road only at its samples. The preview is exact for a road that changes linearly between samples. In the
-same way, a law with states is exact for measurements that change linearly (`models.laws.linear`). For such a road, the preview
-force is a weighted sum of the road heights at the coming samples.
+A computer knows the road only at its sample times. The preview is exact for a road that changes linearly between samples. In
+the same way, a sampled law with states is exact for measurements that change linearly between samples (`models.laws.linear`).
+For such a road, the preview force is a weighted sum of the road heights at the coming samples.
 """
 
 from collections.abc import Mapping
@@ -28,7 +29,7 @@ MOST_PRODUCTS = 2e9  # a sum with at most this number of products is computed te
 
 @dataclass(frozen=True, eq=False)
 class RoadPreview:
-    """Feedforward force from the road ahead. Its formula is in the docstring of the module.
+    """Feedforward force that depends on the road ahead. The docstring of the module contains the formula.
 
     Attributes:
         seconds: preview time T, for which the road ahead of every wheel is known [s].
@@ -66,7 +67,7 @@ class RoadPreview:
         return {"seconds": self.seconds} | {name: getattr(self, name).tolist() for name in PREVIEW_MATRICES}
 
     def samples(self, period: float) -> int:
-        """Returns how many heights a computer uses for each wheel, including the present height.
+        """Returns how many road heights the sampled preview uses for each wheel, including the present height.
 
         Args:
             period: sample period of the preview [s].
@@ -97,8 +98,8 @@ class RoadPreview:
         return weights
 
     def difference(self, other: "RoadPreview") -> float:
-        """Returns the largest difference between the weights of two previews, relative to the largest weight of the other
-        preview.
+        """Returns the largest difference between the weights of this preview and another, relative to the other's largest
+        weight.
 
         The difference is infinite if the preview times or shapes differ.
         """
@@ -108,7 +109,8 @@ class RoadPreview:
         return float(np.abs(one - two).max() / (np.abs(two).max() or 1.0)) if one.shape == two.shape else np.inf
 
     def forces(self, heights: Array, steps: int, timestep: float, samples: int) -> Array:
-        """Returns the preview forces along a road, which are held from sample to sample, shape (T, m).
+        """Returns the preview forces at the timesteps of a run, shape (T, m); each force is constant from one sample to the
+        next.
 
         Args:
             heights: heights of the road at the T timesteps of a run, followed by the heights during the preview time after the
@@ -144,7 +146,7 @@ class RoadPreview:
 
 
 def _correlate(heights: Array, weights: Array) -> Array:
-    """Returns the correlation of heights with weights, at all positions where the weights lie completely within the heights.
+    """Returns the correlation of two signals, the heights and the weights, at all positions at which all weights have a height.
 
     For long signals, the correlation is computed by Fourier transforms.
     """
@@ -156,7 +158,7 @@ def _correlate(heights: Array, weights: Array) -> Array:
 
 
 def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
-    """Returns the preview in the record of a controller; None for a controller without preview.
+    """Returns the preview that a controller's record contains; None for a controller without preview.
 
     Raises:
         InputError: a number is missing or invalid.

@@ -1,8 +1,8 @@
 """Controllers in the user's Python code: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function passed to `sim.run`.
 
-This module reads the code but does not execute it. Linear analysis does not apply to these laws. The files of these laws must
-be in the folder of the vehicle file, or in folders below it. A log, a result, or a vehicle file given as text cannot refer to
-another file.
+This module reads the code but does not execute it. Linear analysis does not apply to Python laws. The files of Python laws must
+be in the folder of the vehicle file, or in folders below this folder. A log, a result, or a vehicle file that is passed as text
+cannot refer to the file of a law.
 """
 
 import hashlib
@@ -33,14 +33,14 @@ TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annota
 
 @dataclass(frozen=True)
 class PythonLaw(LawSource):
-    """A law in Python, or an FMU, in the form in which a vehicle file refers to it.
+    """Reference to a Python law or an FMU, as in a vehicle file.
 
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
         preview: time for which the law knows the road ahead [s]; None if the law does not receive the road.
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot run.
-        inputs: signal for each input variable of an FMU whose name is not a signal name.
-        outputs: force for each output variable of an FMU whose name is not a signal name.
+        inputs: signal that each input variable of an FMU receives; only variables whose name is not the name of a signal.
+        outputs: force that each output variable of an FMU gives; only variables whose name is not the name of a signal.
     """
 
     linear = False
@@ -138,8 +138,8 @@ class PythonController(ControlLaw):
     Attributes:
         name: name in the vehicle file.
         measured: names of the q measured signals y.
-        law: the law, in the form in which the vehicle file refers to it.
-        source: text of the law's file, or of the function if Python knows its text.
+        law: reference to the law, as in the vehicle file.
+        source: text of the law's file, or of the function if Python can find the text of the function.
         function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
 
@@ -185,7 +185,7 @@ class PythonController(ControlLaw):
 
     @property
     def sha256(self) -> str:
-        """Checksum of the source."""
+        """Checksum of the text of the law."""
         return sha256(self.source)
 
     @property
@@ -208,14 +208,14 @@ def is_driver(given: object) -> bool:
 
 
 def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
-    """Returns the controller of a function or driver.
+    """Returns the controller whose forces a Python function or driver computes.
 
     The function may have the attributes `measured` and `preview` [s], with the same meaning as in a vehicle file.
 
     Args:
         function: function or driver of the caller, which computes the forces.
-        measurable: signals that a controller can measure. A function without an attribute `measured` receives all of these
-            signals.
+        measurable: signals that a controller can measure. A function without an attribute `measured` receives all signals that
+            a controller can measure.
 
     Raises:
         InputError: an attribute is not allowed.
@@ -243,7 +243,9 @@ def sha256(text: str) -> str:
 
 
 def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mapping[str, Any]) -> str:
-    """Returns the text of a file that must be in the folder of the vehicle file or below it. Opens no file."""
+    """Returns the text of a file, which must be in the folder of the vehicle file or in a folder below this folder. Opens no
+    file.
+    """
     match = pattern.fullmatch(value) if isinstance(value, str) else None
     if match is None or Path(match["file"]).is_absolute() or value.startswith("~") or ".." in Path(match["file"]).parts:
         raise InputError(f"{HERE} = {short_repr(value)} is not {expected}")
@@ -251,7 +253,7 @@ def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mappin
 
 
 def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the signals by the names of the FMU's variables."""
+    """Returns signals by the names of the FMU variables to which they belong."""
     if not isinstance(value, Mapping) or not all(isinstance(signal, str) for signal in value.values()):
         example = '{ In1 = "suspension_deflection" } for inputs, or { Out1 = "control_force" } for outputs'
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a signal for each variable, as in {example}")
@@ -283,7 +285,7 @@ class ProgramSection(Section):
             raise InputError(f"{named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
 
     def program(self, folder: Path | None) -> PythonLaw | None:
-        """Returns the Python law or the FMU; None for a section with another law. Opens no file.
+        """Returns the Python law or the FMU; None for a section with a different type of law. Opens no file.
 
         Args:
             folder: folder of the vehicle file; None for a vehicle file from text.

@@ -2,8 +2,8 @@
 
 A law is a function `step(sample, state)` that returns the force and the next state, or `law(t, y)` that returns the force.
 
-Every run executes the file of the law again. Every run therefore has its own global names of the file and its own state of the
-law, so runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
+Every run executes the file of the law again. Every run therefore has its own global variables of the file and its own state of
+the law, so runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
 
 A law in a file runs in a child process (`FileRuns`). The child is terminated if one call, or all calls of a run together, take
 too long. The limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function passed by the caller runs in the
@@ -71,10 +71,10 @@ class Sample:
 
 
 class OwnLaw:
-    """One execution of a law, with its state and the global names of its file.
+    """One execution of a law, with the state of the law and the global variables of its file.
 
     Attributes:
-        vectorised: True if one call computes all runs. The function declares this by an attribute with the same name.
+        vectorised: True if one call computes all runs. The function of the law declares this by its attribute `vectorised`.
     """
 
     def __init__(self, controller: PythonController, forces: int) -> None:
@@ -132,7 +132,7 @@ class OwnLaw:
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result.
 
-        This function also checks the result, because methods of the result may be user code, too.
+        The check is part of this function, because methods of the result may be user code, too.
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
@@ -155,7 +155,7 @@ class OwnLaw:
         return forces.reshape(shape)
 
     def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:
-        """Executes code of the law at a time [s]. Every failure becomes a one-line message."""
+        """Executes code of the law. Every failure becomes a one-line message, with the simulated time [s] of the call."""
         try:
             return code()
         except BaseException as error:
@@ -183,7 +183,8 @@ def anew(function: Any) -> Any:
 
 
 class LawRuns:
-    """Runs of one controller. Every run executes the law separately, but runs of a vectorised law share one execution.
+    """Runs in which the Python law of one controller is executed. Every run executes the law separately, but runs of a
+    vectorised law share one execution.
 
     Attributes:
         vectorised: True if one call computes all runs.
@@ -200,7 +201,7 @@ class LawRuns:
         """Adds a run of a vehicle with these parameters. Returns `vectorised`.
 
         Raises:
-            InputError: any error of `OwnLaw`; the run is then not added.
+            InputError: `OwnLaw` raises this error; the run is then not added.
         """
         if not self.vectorised:
             self._laws.append(OwnLaw(self._controller, self._forces))
@@ -214,7 +215,8 @@ class LawRuns:
         """Returns the requested forces of N runs [N], shape (N, m), and the errors by number of the run.
 
         Args:
-            gone: True for each run whose law is no longer called, shape (N,). The forces of these runs are 0.
+            gone: True for each run whose law is no longer called, shape (N,). The forces of runs whose law is no longer called
+                are 0.
             y: measurements, shape (N, q).
             time: time since the start [s].
             period: time until the next sample [s].
@@ -243,7 +245,7 @@ class LawRuns:
 
 
 class FileRuns:
-    """`LawRuns` of a law in a file, which runs in a child process. If the process ends, all runs in it fail."""
+    """`LawRuns` for a law in a file; the law is executed in a child process. If the process ends, all runs in it fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
         """Prepares runs of a law that returns the given number of forces. `add` adds the runs."""
@@ -264,7 +266,7 @@ class FileRuns:
         """See `LawRuns.call`.
 
         Raises:
-            InputError: any error of `LawRuns.call`, a call that takes too long, or code that ends the process.
+            InputError: `LawRuns.call` raises this error, a call takes too long, or the code ends the process.
         """
         self._left += SLOWEST * period * self._count
         began = clock()
@@ -325,27 +327,31 @@ def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
 
 
 def _pack_array(array: Array) -> tuple[str, tuple[int, ...], bytes]:
-    """Returns the parts of a small array, which are pickled in a tenth of the time that the array itself takes."""
+    """Returns type, shape and content of a small array; pickling them takes a tenth of the time of pickling the array."""
     return array.dtype.char, array.shape, array.tobytes()
 
 
 def _unpack_array(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
-    """Returns the array that consists of these parts."""
+    """Returns the array with this type, shape and content."""
     return np.frombuffer(content, dtype).reshape(shape).copy()
 
 
 def runs_of(controller: PythonController, forces: int) -> LawRuns | FileRuns:
-    """Returns the runs of a law. A law in a file runs in a child process, and a function of the caller in this process."""
+    """Returns the object that runs a law. A law in a file runs in a child process, and a function of the caller in this
+    process.
+    """
     return (FileRuns if controller.function is None else LawRuns)(controller, forces)
 
 
 def describe_law(controller: PythonController) -> str:
-    """Returns the name of a controller and its law for messages."""
+    """Returns a text for messages: the name of a controller, and its Python law or FMU."""
     return f"controller {controller.name!r}, {'FMU' if controller.law.is_fmu else 'law'} {controller.law.law}"
 
 
 def _takes_time(function: Any) -> bool:
-    """Returns True for a law whose arguments are time and measurements, law(t, y), instead of a sample and a state."""
+    """Returns True if the function of a law has the arguments time and measurements, law(t, y), instead of a sample and a
+    state.
+    """
     try:
         return next(iter(inspect.signature(function).parameters), "") == "t"
     except (TypeError, ValueError):  # a function that is not written in Python has no signature
@@ -353,5 +359,5 @@ def _takes_time(function: Any) -> bool:
 
 
 def _short(value: Any) -> str:
-    """Returns a user's value as text for a message."""
+    """Returns a value from user code as text for a message."""
     return short_repr(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"

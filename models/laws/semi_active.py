@@ -5,8 +5,8 @@ force -c v. A law requests c. The damper clips c to its limits and holds it unti
 but the force is always computed with the present v. If a law requests a force F of the whole damper, for example the force of a
 damper between body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
 
-Source of the names, and of laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active
-Suspension Control Design for Vehicles (2010), chapters 3 and 6.
+Source of the laws' names, and of laws for which no other source is given: Savaresi, Poussot-Vassal, Spelta, Sename,
+Dugard, Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -90,7 +90,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper to the sky if the damper can give this sign of force, else the soft setting."""
+    """Continuous skyhook: the force of a damper to the sky if the damper can give a force of this sign, else the soft setting."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
@@ -134,7 +134,7 @@ def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, accelerati
 
 
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
-    """Continuous skyhook of the body's modes: a damper to the sky for heave, pitch and roll each, shared among the corners."""
+    """Continuous skyhook for heave, pitch and roll: each mode has a damper to the sky, whose force the corners share."""
     damped = moved = 0.0
     # The terms are added in sequence, so that rounding errors do not depend on the number of runs
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
@@ -161,7 +161,7 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 @dataclass(frozen=True)
 class SemiActiveLaw(LawSource):
-    """Built-in semi-active law, in the form in which a vehicle file refers to it.
+    """Reference to a built-in semi-active law, as in a vehicle file.
 
     Attributes:
         name: name of the law, a key of `LAWS`.
@@ -286,7 +286,7 @@ class SemiActiveSection(Section):
     def semi_active_law(
         self, given: Sequence[str], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
     ) -> SemiActiveLaw | None:
-        """Returns the semi-active law; None for a section with another law.
+        """Returns the semi-active law; None for a section with a different type of law.
 
         Args:
             given: keys of the section in the file.
@@ -295,7 +295,7 @@ class SemiActiveSection(Section):
             endings: suffix of the signal names at the suspension of each semi-active damper, by force.
 
         Raises:
-            InputError: a key belongs to another law, or the vehicle lacks a signal or damper that the law needs.
+            InputError: a key belongs to a different law, or the vehicle lacks a signal or damper that the law needs.
         """
         if self.semi_active is None:
             if others := [key for key in given if key in keys(SemiActiveSection)]:

@@ -31,7 +31,7 @@ class WeightedErrors:
     def of_forces(self, forces: Sequence[str], measured: Sequence[str]) -> list[Filter | None]:
         """Returns the weight of each force; None for a force without uncertainty.
 
-        If a force is also measured, its name refers to the measurement.
+        If a force is also measured, the name of the force refers to the weight of its measurement.
         """
         return [self.weights.get(FORCE, None if name in measured else self.weights.get(name)) for name in forces]
 
@@ -42,7 +42,7 @@ class WeightedErrors:
 
 
 def _record(one: Filter) -> dict[str, Any]:
-    """Returns a filter as in a vehicle file."""
+    """Returns a filter in the form in which a vehicle file contains it."""
     if one.name:
         return {"filter": one.name}
     ((above, below),) = one.sections

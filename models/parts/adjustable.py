@@ -35,7 +35,7 @@ ROUNDING = 1e-9  # a force below this share of the largest force of the nominal 
 
 @dataclass(frozen=True)
 class Adjustable(SettablePart):
-    """Semi-active damper in its vehicle."""
+    """Semi-active damper as a part of a suspension."""
 
     argument = "velocity"
     native = True
@@ -51,12 +51,12 @@ class Adjustable(SettablePart):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`. The linearisation is that of the nominal damper."""
+        """See `Part.line`. The linearisation is that of the damper at its nominal setting."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
     def is_nonlinear(self) -> bool:
-        """True if the nominal setting differs from its linearisation."""
+        """True if the force at the nominal setting differs from its linearisation."""
         return self.nominal_curve is not None and self.nominal_curve.is_nonlinear
 
     @property
@@ -76,7 +76,7 @@ class Adjustable(SettablePart):
         return replace(self, ratio=self.ratio * ratio)
 
     def write(self, tendon: Tendon) -> None:
-        """Writes the force that acts at every setting. See `Part.write`."""
+        """Writes the part of the force that does not depend on the damper's setting. See `Part.write`."""
         if self.offset is not None:
             tendon.add_pieces("velocity", self.offset.at_wheel(self.ratio).pieces, over_speed=True)
 
@@ -132,10 +132,10 @@ class Adjustable(SettablePart):
         Args:
             name: name of the controller.
             measured: signals that the controller measures.
-            vehicle: vehicle that the controller drives.
+            vehicle: vehicle in which the controller acts.
 
         Raises:
-            InputError: the controller measures such a force.
+            InputError: the controller measures a force for which MuJoCo has no sensor.
         """
         turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
         for one in vehicle.parts.adjustable:
@@ -149,7 +149,7 @@ class Adjustable(SettablePart):
 
     @property
     def offset(self) -> ForceCurve | None:
-        """Characteristic that acts at every setting; None if it is zero.
+        """Characteristic of the part of the force that does not depend on the damper's setting; None if it is zero.
 
         The other actuators of the damper give (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h at
         equilibrium.
@@ -177,7 +177,7 @@ def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) ->
 def _check_takes(parameter: str, one: Adjustable) -> None:
     """Checks that the softest setting with the parallel characteristic dissipates energy at every velocity.
 
-    Firmer settings dissipate more.
+    Firmer settings dissipate more energy than the softest setting.
     """
     if one.nominal_curve is None:
         return

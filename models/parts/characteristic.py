@@ -19,7 +19,7 @@ class Characteristic(Part):
 
     Attributes:
         own: characteristic f of the element itself, before the motion ratio is applied.
-        factor: factor a, for a vehicle whose parameter differs from the slope of the characteristic.
+        factor: factor a; it differs from 1 if the vehicle's parameter differs from the slope of the characteristic.
         ratio: constant motion ratio r.
     """
 

@@ -1,4 +1,4 @@
-"""Setting range of semi-active dampers, and the part of a requested force that they cannot give because of this range."""
+"""Setting range of semi-active dampers, and the part of a requested force that the dampers cannot give because of this range."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +25,8 @@ class CoefficientRange:
         high: largest coefficient minus the nominal coefficient [N s/m], shape (N, m).
         nominal: nominal coefficient [N s/m], 0 for force actuators, shape (N, m).
         adjustable: True for semi-active dampers, equal in all runs, shape (m,).
-        elements: elements whose voltage is set. The limits, the nominal value and the coefficient of these elements are
-            voltages [V].
+        elements: force elements whose voltage a controller sets. For an element, the limits, the nominal value and the
+            coefficient are voltages [V].
         deviations: deviations from the linearisation: of the function h in `models.characteristics.adjustable_range`, and of
             the softest setting. Each deviation has P segments, shape (N, m, P). The value is None if all characteristics are
             straight.
@@ -89,7 +89,7 @@ class CoefficientRange:
             c_min: smallest coefficient at velocity 0 [N s/m], shape (N, m).
             c_max: largest coefficient at velocity 0 [N s/m], shape (N, m).
             closing: closing velocity of each suspension [m/s], not 0, as `closing` returns it, shape (N, m + c).
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         speeds = closing[..., : self.low.shape[1]]
         if self.deviations is not None:
@@ -105,13 +105,13 @@ class CoefficientRange:
         return c_min, c_max
 
     def forces(self, beyond: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces at settings relative to the nominal settings [N], shape (..., N, m)."""
+        """Returns the forces [N] for settings that are given relative to the nominal settings, shape (..., N, m)."""
         parts = [(one, *one.at(closing, which)) for one in self.elements]
         pushes = [(one, part.push(*motion, beyond[..., one.column])) for one, part, motion in parts]
         return _with(beyond * self._velocity(closing, which), pushes)
 
     def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the settings, relative to the nominal settings, at which the forces are closest to requested forces [N].
+        """Returns the settings, relative to the nominal settings, at which the forces are closest to the requested forces [N].
 
         The shape is (..., N, m).
         """
@@ -123,13 +123,13 @@ class CoefficientRange:
         """Returns the settings of the actuators, followed by the missing forces, shape (..., N, 2 m).
 
         The first m columns are coefficients minus nominal coefficients [N s/m], voltages relative to the voltages without a
-        command [V], or forces of force actuators [N]. The other m columns are the requested forces minus the forces at these
-        settings [N].
+        command [V], or forces of force actuators [N]. The last m columns are the requested forces minus the forces at the
+        settings in the first m columns [N].
 
         Args:
             requested_force: the requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape
                 (..., N, 2 m + c).
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         forces, closing = np.split(requested_force, [self.low.shape[1]], axis=-1)
         beyond = self.settings(forces, closing, which)
@@ -141,7 +141,7 @@ class CoefficientRange:
         Args:
             coefficients: requested coefficients of the dampers, force divided by velocity [N s/m], shape (..., N, m).
             closing: closing velocity of each suspension [m/s], as `closing` returns it, shape (..., N, m + c).
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
@@ -161,12 +161,13 @@ class CoefficientRange:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces at the settings minus the requested forces [N], shape (N, m); exactly 0 if nothing is clipped.
+        """Returns the forces that the actuators can give minus the requested forces [N], shape (N, m); exactly 0 if nothing is
+        clipped.
 
         Args:
             forces: requested forces [N], shape (N, m).
             closing: motion of each suspension, as in `commands`, shape (N, m + c); None if all actuators are force actuators.
-            which: selected runs out of N.
+            which: selection of runs among the N runs.
         """
         turned = 1.0 if closing is None else self._velocity(closing, which)
         coefficients = forces / turned
@@ -183,7 +184,9 @@ class CoefficientRange:
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns the values of all actuators, shape (..., m), in which other values replace the columns of elements."""
+    """Returns the values of all actuators, shape (..., m), after replacing the columns of the force elements by their own
+    values.
+    """
     if not columns:
         return values
     values = np.array(values)
@@ -194,7 +197,7 @@ def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SetColumn:
-    """Elements of N vehicles at one suspension, whose voltages are set.
+    """Force elements of N vehicles at one suspension; a controller sets the voltages of these elements.
 
     Attributes:
         column: index of the element's force among the inputs.
@@ -204,7 +207,7 @@ class SetColumn:
         own: names of the element's internal states.
         start: index of the column in `CoefficientRange.closing` that contains the element's travel; the columns of its states
             follow.
-        parts: the elements at the wheel: a single element for any number of runs, or N elements.
+        parts: the elements after their motion ratios are applied: one element that all runs share, or N elements.
         element: the N elements combined into one part, before the motion ratio is applied.
     """
 
@@ -263,7 +266,7 @@ def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> Coef
 
 
 def _elements(vehicles: Sequence[Any]) -> tuple[SetColumn, ...]:
-    """Returns the elements of N vehicles whose voltages are set."""
+    """Returns the force elements of N vehicles whose voltages a controller sets."""
     first, start, columns = vehicles[0], len(vehicles[0].linear_model.inputs), list[SetColumn]()
     dampers, states = {one.force: one for one in first.parts.adjustable}, 0
     same = all(vehicle is first for vehicle in vehicles)

@@ -46,7 +46,7 @@ class Element:
         return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
     def with_slope(self, slope: float, damps: bool) -> "Element":
-        """Returns the linearised element with another damping [N s/m] or stiffness [N/m].
+        """Returns the linearised element after replacing its damping [N s/m] or stiffness [N/m].
 
         Args:
             slope: the new damping or stiffness.
@@ -65,7 +65,9 @@ class Element:
         }
 
     def sampled(self, values: Mapping[str, float]) -> "Element":
-        """Returns the element with other numbers, given by `NAME.key`; unchanged if none of the numbers belongs to it."""
+        """Returns the element with new values of its numbers; `values` contains them by `NAME.key`, along with numbers of other
+        elements.
+        """
         own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
         return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
 

@@ -1,9 +1,11 @@
-"""Parts as MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
+"""Representation of parts by MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of
+RK4.
 
-One actuator represents one straight segment of a characteristic. The control of this actuator is zero. The bias of the actuator
-is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were minus the
-bias's slope over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The suspension's own spring and
-damper remain in the model, and give the linearised force. The actuators of the segments add the deviation from this force.
+One actuator represents one straight segment of a characteristic. The control of the actuator of a segment is zero. The bias of
+the actuator is affine in length or speed, and a `forcerange` clips the bias. The gain of the actuator stays 1. If the gain were
+minus the bias's slope over length, MuJoCo would interpret a positive slope over speed as a damping ratio. The suspension's own
+spring and damper remain in the model, and give the linearised force. The actuators of the segments add the deviation from this
+force.
 
 A part that MuJoCo's own elements cannot represent gets a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """
@@ -60,7 +62,7 @@ class Tendon:
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
         """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3).
 
-        The dead band, a range of lengths [m], is the range in which the spring has no force.
+        The dead band is the range of lengths [m] in which the spring exerts no force.
         """
         spring = self.spec.add_tendon(name=f"{name}_{self.name}")
         spring.stiffness[:] = stiffness
@@ -81,8 +83,8 @@ class Tendon:
         """Replaces the motor of an input by a semi-active damper with the control c - c_s and the force -(c - c_s) h(v).
 
         The function h is a straight line plus ramps that begin at knots. The line and each ramp have separate actuators, which
-        receive the same control. A ramp with the slope a and the knot k gives (c - c_min) a (v - k). This force has the same
-        sign everywhere beyond the knot, and is clipped to zero before the knot.
+        receive the same control. A ramp with the slope a and the knot k gives (c - c_min) a (v - k). The force of a ramp has
+        the same sign everywhere beyond the knot, and is clipped to zero before the knot.
 
         Args:
             force: name of the input's actuator.

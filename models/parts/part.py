@@ -76,7 +76,7 @@ class Line:
         return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
-        """Returns the linearised pull without the inertance [N], shape (...).
+        """Returns the linearised force without the force of the inertance [N], shape (...).
 
         If the states `z` are omitted, they count as 0.
         """
@@ -100,7 +100,7 @@ class Limit:
     """Limit of a quantity, beyond which linear analysis is not valid because of a part.
 
     Attributes:
-        end: name of the event, as in `sim.drive.regime`.
+        end: name of the event that occurs when the quantity reaches the limit, as in `sim.drive.regime`.
         of: the limited quantity: deflection or velocity of the suspension, or the difference between the force and its
             linearisation.
         sign: sign of the quantity on the side with the limit; 0 if both sides have the limit.
@@ -271,7 +271,7 @@ class Part(ABC):
 
     @property
     def words(self) -> str:
-        """Description of the part in a phrase."""
+        """Phrase that describes the part."""
         return type(self).__name__
 
     @classmethod
@@ -289,10 +289,10 @@ class SuspensionPart:
 
     Attributes:
         place: suspension on which the part acts.
-        part: the equivalent part at the wheel.
+        part: the equivalent part that acts at the wheel, after the motion ratio is applied.
         parameter: parameter of the vehicle that contains the linearisation of the part; empty for an element of `[parts]`.
         ratio: motion ratio in equilibrium.
-        element: name of the section of `[parts]`; empty for a part from another section.
+        element: name of the section of `[parts]`; empty for a part from a different section.
     """
 
     place: "Suspension"
@@ -427,7 +427,7 @@ class SettablePart(Part):
         return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
 
     def shape(self, v: Array) -> Array:
-        """Returns the force per coefficient, h [m/s], at velocities of the damper itself [m/s], shape (...)."""
+        """Returns h, the force per unit of the coefficient [m/s], at velocities of the damper itself [m/s], shape (...)."""
         return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
@@ -473,7 +473,7 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Linearisation of another part, as a part. The signals of its states are the same as for the other part."""
+    """Part whose force is the linearisation of the force of another part. Both parts have the same signals for their states."""
 
     at_rest: Line
     own: "tuple[Signal, ...]" = ()
@@ -511,7 +511,7 @@ class Stack:
         """Groups the parts.
 
         Args:
-            parts: k parts for each run, or k parts for any number of runs. All runs have the same types of parts, with
+            parts: k parts for each run, or k parts that all runs share. All runs have the same types of parts, with
                 different numbers.
             line: True to include the linearised force of the parts, except the force of their inputs.
         """

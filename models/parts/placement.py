@@ -8,7 +8,7 @@ from models.parts.ratio import AtRatio, Constant
 
 
 def parts_of(vehicle: Any) -> Parts:
-    """Returns the parts of a vehicle in addition to its linear springs and dampers, at the wheels, ordered by suspension."""
+    """Returns all parts of a vehicle except its linear springs and dampers, as they act at the wheels, ordered by suspension."""
     placed, kind, classes = list[SuspensionPart](), vehicle.kind, PARTS.load_all().values()
     for place in kind.suspensions:
         rows = [(part, parameter, "") for one in classes for part, parameter in one.of(vehicle, place)]
@@ -26,7 +26,9 @@ def parts_of(vehicle: Any) -> Parts:
 
 
 def _element(vehicle: Any, place: Any, one: Any) -> Part:
-    """Returns the part of an element at a suspension. A controller may set the voltage of the element."""
+    """Returns the part that represents an element of `[parts]` at a suspension. A controller may set the voltage of the
+    element.
+    """
     damper = vehicle.dampers.get(place.force)
     if getattr(damper, "name", None) != one.name:
         return one.part

@@ -6,8 +6,8 @@ If the part carries the load W at the wheel in equilibrium, the force at the whe
     F(d, v) = r(d) (f(D(d), r(d) v) - N) + W,    N = W / r(0),    F'(0) = r(0)^2 f'(0) - r'(0) N.
 
 If r' is different on the two sides of equilibrium, the linearisation uses the mean of both values. The force of an inertial
-part is b times the second derivative of its own travel D. At the wheel, this force is r^2 b v' + b r r' v^2, where v is the
-velocity at the wheel.
+part is b times the second derivative of its own travel D. At the wheel, the force of an inertial part is r^2 b v' + b r r' v^2,
+where v is the velocity at the wheel.
 """
 
 import functools
@@ -147,7 +147,7 @@ class AtRatio(Part):
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """See `Part.curve`.
 
-        For a spring, the characteristic has all points of a fine table. For a damper, it is a `ForceSurface`.
+        For a spring, the characteristic has all points of a fine table. For a damper, the characteristic is a `ForceSurface`.
         """
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):

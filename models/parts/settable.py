@@ -32,9 +32,9 @@ SPEED = 1.0  # the element is represented by its damping coefficient at this vel
 
 @dataclass(frozen=True)
 class ElementDamper(Damper):
-    """Element of `[parts]` as a semi-active damper.
+    """Element of `[parts]` that acts as a semi-active damper.
 
-    The limits of this damper are the damping coefficients at 1 m/s, for 0 V and for the largest voltage.
+    The limits of the semi-active damper are the damping coefficients at 1 m/s, for 0 V and for the largest voltage.
 
     Attributes:
         name: name of the element's section.
@@ -115,7 +115,7 @@ class SetElement(SettablePart):
         return self.without.rate(d, v, z) if isinstance(self.without, Straight) else self.element.rate(d, v, z, u)
 
     def push(self, d: Array, v: Array, z: Any, u: Array | float, before: Array | float = 0.0) -> Array:
-        """Returns the pushing force at voltages u minus the pushing force at voltages `before` [N], shape (...).
+        """Returns the change of the pushing force when the voltages change from `before` to u [N], shape (...).
 
         Args:
             d: extension of the suspension [m], shape (...).
@@ -127,7 +127,7 @@ class SetElement(SettablePart):
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """See `SettablePart.force_at`. The compared forces are the forces after yield, without springs."""
+        """See `SettablePart.force_at`. The comparison uses the forces after yield, without the forces of springs."""
         return self.element.after_yield(v, beyond)
 
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
@@ -135,7 +135,7 @@ class SetElement(SettablePart):
 
         The voltages are relative to the voltage without a command. `pull` times `Part.divisor` is a quadratic function of the
         voltage. Therefore, the voltages at which the pull equals the requested pull are roots of a quadratic equation. The
-        extremes of the pull are at the ends of the voltage range and at the roots of another quadratic equation.
+        extremes of the pull are at the ends of the voltage range and at the roots of a second quadratic equation.
         """
         low, high, pull = self.low, self.high, self.element.pull
         wanted, wide = pull(d, v, z, 0.0) - force, high - low
@@ -158,7 +158,7 @@ class SetElement(SettablePart):
 
 
 def _roots(a: Array, b: Array, c: Array) -> list[Array]:
-    """Returns the roots of a x^2 + b x + c, even if a is 0; NaN if they are complex."""
+    """Returns the roots of a x^2 + b x + c, even if a is 0; NaN if the roots are complex."""
     q = -(b + np.where(b < 0, -1.0, 1.0) * np.sqrt(b * b - 4 * a * c)) / 2
     return [q / a, c / q]
 
@@ -182,7 +182,7 @@ def element_dampers(
         limited: keys of `[limits]` that limit force actuators.
 
     Raises:
-        InputError: the suspension has another actuator or no actuator, or `[limits]` limits force actuators.
+        InputError: the suspension has a different actuator or no actuator, or `[limits]` limits force actuators.
     """
     dampers = dict[str, ElementDamper]()
     for one in elements:

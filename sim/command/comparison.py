@@ -22,7 +22,7 @@ from synth.controller.loop_of import loop_of
 def controllers_of(
     vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
 ) -> list[AnyController]:
-    """Returns the controllers with these names, without running any law in Python.
+    """Returns the controllers with these names, without executing any Python law.
 
     If a controller cannot be designed, this function omits it and prints a warning.
 
@@ -61,7 +61,7 @@ def controllers_of(
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
     """Returns a function that designs a controller by name.
 
-    The function raises InputError if the controller cannot run at its sample period.
+    The returned function raises InputError if the controller cannot run at its sample period.
     """
 
     def designed(name: str) -> Controller:
@@ -73,7 +73,7 @@ def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: fl
 
 
 def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, list[str]]:
-    """Returns a JSON object that lists the requested controllers that were not simulated; empty if all were simulated."""
+    """Returns a JSON object that lists the requested controllers that could not be simulated; empty if all were simulated."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
 
@@ -81,7 +81,7 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
 def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
     """Prints a warning to stderr for each controller with an invalid certificate or missed goals.
 
-    The command simulates these controllers nevertheless.
+    The command also simulates the controllers with such a warning.
     """
     for one in controllers:
         if one.false_claims:
@@ -97,7 +97,7 @@ def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
 
 
 def _first(claims: Sequence[str]) -> str:
-    """Returns the first of several claims that do not hold, and the number of the other claims, as text."""
+    """Returns a text with the first of several claims that do not hold, and the number of further such claims."""
     return f"{claims[0]}, and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -120,7 +120,7 @@ def record_command_runs(
         controllers: names of the simulated controllers.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
         result: function that returns the result of the command, as for `--json`; called only if logs are written.
-        measured: signals of a measured log over the time of the runs; None without a log.
+        measured: signals of a measured log during the time of the runs; None without a measured log.
 
     Returns:
         Paths of the recorded files by type. All paths are None with `--no-logs`.
@@ -142,7 +142,8 @@ def write_histories(
         options: options from the command's parser.
         runs: runs to draw and to write.
         where: description of the road, which follows the word "over" in the title of the picture.
-        measured: signals of a measured log over the time of the runs, which the picture also shows; None without a log.
+        measured: signals of a measured log during the time of the runs, which the picture also shows; None without a measured
+            log.
     """
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
@@ -162,7 +163,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
     Args:
         logs: paths of the recorded files by type, one mapping for each vehicle. For several vehicles, the function returns a
             single line with the folder.
-        brief: True to return no lines.
+        brief: True if the command prints only short results; no lines are then returned.
         heading: True to print an empty line and a heading above the paths.
     """
     paths = [{name: Path(path) for name, path in one.items() if path} for one in logs]
@@ -175,7 +176,7 @@ def log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool = False, hea
 
 
 def check_view(options: argparse.Namespace) -> None:
-    """Checks before the simulation that `--open` or `--serve` can show its recording.
+    """Checks before the simulation that `--open` or `--serve` will be able to show the recording.
 
     Raises:
         InputError: `--no-logs` disables the recording, or no display exists for `--open`.
@@ -212,7 +213,7 @@ def run_named(
     time: Array,
     exported: Path | None = None,
 ) -> list[Run]:
-    """Simulates the requested controllers over a road; returns the runs in the order of `names`.
+    """Simulates the controllers `names` over a road; returns the runs in the order of these names.
 
     Controllers that cannot be designed are omitted. Warnings are printed before the runs start. Arguments and errors are those
     of `controllers_of` and `run_controllers`.

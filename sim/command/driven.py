@@ -23,13 +23,13 @@ class VehicleRuns:
 
     Attributes:
         vehicle: vehicle that the file describes.
-        title: title of the vehicle in printed results; empty if there is only one vehicle.
+        title: title of the vehicle in printed results; empty if the command simulates only one vehicle.
         names: requested controllers.
-        runs: runs of the whole vehicle, then the runs in which a part of the vehicle is omitted (`--without`).
-        without: part of the vehicle that each run omits, such as noise; an empty text for a run of the whole vehicle.
+        runs: runs with the whole vehicle file, then runs in which one part of the file is omitted (`--without`).
+        without: part of the vehicle file that each run omits, such as noise; an empty text for a run that omits no part.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if the ride is not measured.
-        fits: comparison of each run with a measured log; empty without a log.
+        fits: comparison of each run with a measured log; empty without a measured log.
     """
 
     vehicle: Vehicle
@@ -48,12 +48,12 @@ class VehicleRuns:
 
     @cached_property
     def named_runs(self) -> list[Run]:
-        """The runs, each with its name in the printed results."""
+        """The runs, each renamed to the name that printed results use."""
         pairs = zip(self.runs, self.without, strict=True)
         return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
 
     def logged(self) -> dict[str, Run]:
-        """Returns the runs by their names in a log."""
+        """Returns the runs by the names that a log uses."""
         return {f"{run.controller.name}{logged_variant(part)}": run for run, part in zip(self.runs, self.without, strict=True)}
 
     @property

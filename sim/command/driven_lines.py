@@ -1,4 +1,4 @@
-"""Printed text of the commands that drive, `sim.bump` and `sim.drive`. With `--json`, this module is not loaded."""
+"""Printed text of the commands that simulate a drive: `sim.bump` and `sim.drive`. With `--json`, this module is not loaded."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -33,15 +33,16 @@ def driven_lines(
 ) -> list[str]:
     """Returns the printed lines of a command: title, findings, table of controllers, further lines, and verdicts.
 
-    With `-v`, the table comes first. A single run follows in full, and several runs follow in one table of norms and checks.
+    With `-v`, the table comes first. For a single run, all details follow; for several runs, one table of norms and checks
+    follows.
 
     Args:
         options: options from the command's parser.
         driven: runs of each vehicle.
         where: text that describes the road.
         scores: scores of the controllers, one for each row of the table of controllers.
-        about: text that describes the time over which the ride is measured.
-        response: document about the step response; empty if the road is not a step.
+        about: text that states in which part of the run the ride is measured.
+        response: description of the step response, as in the result of the command; empty if the road is not a step.
         below: lines to print between the table and the verdicts, such as paths of files.
     """
     shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
@@ -88,7 +89,8 @@ def driven_lines(
 
 
 def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
-    """Returns the printed table of norms and checks, with as many runs as fit, and a line that lists the omitted details.
+    """Returns the printed table of norms and checks, with as many runs as fit into `DETAIL_LINES` lines, and a line that lists
+    omitted details.
 
     Args:
         runs: all runs that the table may show.
@@ -116,9 +118,9 @@ def _start_lines(options: Namespace, driven: Sequence[VehicleRuns]) -> list[str]
 
 
 def _finding_lines(runs: Sequence[Run], verbose: bool) -> list[str]:
-    """Returns the printed lines about runs, above the table that compares the controllers.
+    """Returns the lines about runs that are printed above the table of controllers.
 
-    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, they contain only warnings and the
+    For at most `FEW` runs, the lines contain all findings and warnings. For more runs, the lines contain only warnings and the
     reasons why a run fails or diverges.
     """
     few = len(runs) <= FEW

@@ -33,7 +33,7 @@ def drive(
 
     Args:
         options: options from the command's parser.
-        road_of: function that returns the requested road for a vehicle, the options and the sample times [s].
+        road_of: function that returns the requested road; its arguments are a vehicle, the options and the sample times [s].
         where: function that returns a text that describes the road.
         rides: True to measure the ride, and the step response if the road is a step.
 
@@ -185,7 +185,7 @@ def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list
 
 
 def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float | None]) -> dict[str, Any]:
-    """Returns the result of a vehicle for its log and for `--json`.
+    """Returns the result for one vehicle, which its log and `--json` contain.
 
     Args:
         measured: first and last time of the ride measurement [s]; a last time of None is the end of the run.

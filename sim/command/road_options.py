@@ -69,7 +69,7 @@ def with_start(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
 
 
 def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: Sequence[str]) -> list[str]:
-    """Returns the controllers of a vehicle that a command omits by default; empty if the user chose controllers.
+    """Returns the controllers of a vehicle that a command omits by default; empty if `--controller` names controllers.
 
     Args:
         vehicle: vehicle of the controllers.
@@ -83,7 +83,7 @@ def left_out_lines(names: Sequence[str], one: bool = False) -> list[str]:
     """Returns a line that lists the omitted controllers and explains how to include them; empty if none is omitted.
 
     Args:
-        one: True if the command accepts only one controller, so that the line explains how to choose another one.
+        one: True if the command accepts only one controller; the line then explains how to choose a different controller.
     """
     if one and names:
         return [f"other controllers: {', '.join(names)}; choose one with --controller NAME"]
@@ -169,7 +169,7 @@ def add_road(parser: Parser, default: str) -> None:
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
-    """Returns the requested road.
+    """Returns the road that the options describe.
 
     Args:
         vehicle: vehicle that drives over the road.

@@ -1,4 +1,4 @@
-"""The command of any study.
+"""The command that runs any of the studies.
 
 The command reads the vehicle, designs the controllers, runs the study, writes files and logs, and prints text or JSON. The
 studies themselves are subclasses of `sim.studies.study.Study`.
@@ -88,7 +88,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
 def _designed_controllers(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
     """Returns the requested controllers.
 
-    If `several` is False, the study needs a single linear controller. Otherwise, the controllers can be of any type.
+    If `several` is False, the study needs a single linear controller. If `several` is True, the controllers can be of any type.
     """
     from sim.command.comparison import controllers_of, runnable
     from synth.vehicle.designer import Designer

@@ -26,7 +26,7 @@ ENDING_TIME = 3.0  # s, longest time to wait until the process ends after a sign
 
 
 def check_display() -> None:
-    """Checks that a window can open. Commands call this function before a long run.
+    """Checks that the viewer's window can open. Commands call this function before a long run.
 
     Raises:
         InputError: no display is available.
@@ -59,7 +59,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """Returns the last line of a failed program's output, without colour codes. This line states why the program failed."""
+    """Returns the last line of a failed program's output, without colour codes. The last line states why the program failed."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "no message")
 
@@ -98,7 +98,8 @@ def serve_viewer(recording: Path) -> None:
 def _command() -> list[str]:
     """Returns the command that starts Rerun's viewer: the executable of the installed package, otherwise `rerun`.
 
-    The executable is started directly. If its Python wrapper were terminated, the viewer itself would continue.
+    The executable is started directly. If the command started Rerun's Python wrapper instead, the viewer would continue to run
+    after the wrapper is terminated.
     """
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or not spec.submodule_search_locations:

@@ -1,1 +1,1 @@
-"""Check of a log: repeats the logged runs, and compares signals, results and certificates. No solver is needed."""
+"""Check of a log: repeats the logged runs, and compares signals, results and certificates. The check does not need a solver."""

@@ -46,8 +46,8 @@ class Finding:
 def largest_difference(logged: Response, again: Response) -> tuple[float, str]:
     """Returns the largest difference between a logged and a recomputed response, and the name of its signal.
 
-    Each difference is relative to the peak of its signal, and infinite if a logged number is not finite. Samples after the
-    recomputed response exceeds `HUGE` are not compared.
+    Each difference is relative to the peak of its signal, and infinite if a logged number is not finite. Samples after the time
+    at which the recomputed response exceeds `HUGE` are not compared.
     """
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
@@ -93,5 +93,5 @@ def _equal(said: Any, now: Any, absolute: float) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Returns True for a JSON number. True and False are not numbers."""
+    """Returns True if a JSON value is a number. True and False are not numbers."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -131,7 +131,7 @@ def read_log(path: Path) -> Log:
 
 
 def _samples(schema: Any, messages: list[Any]) -> Samples:
-    """Returns the messages of a topic as numbers. `mcap_writer` writes all fields of each message, in the same order."""
+    """Returns the numbers in all messages of a topic. `mcap_writer` writes all fields of each message, in the same order."""
     fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
     times = np.array([message.log_time for message in messages], dtype=np.int64)
     tags = [1 if field.number < 16 else 2 for field in fields]  # number of bytes of the tag before each number

@@ -60,7 +60,7 @@ class InspectedRun:
 
     Attributes:
         recorded_run: the checked run, as the log contains it.
-        findings: findings about all claims of the log about this run.
+        findings: findings about all claims that the log makes about this run.
         again: the repeated run; None if the run could not be repeated.
     """
 
@@ -159,7 +159,7 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
     """Checks the logged certificate against the control law and its proof, and checks the norm of the implemented loop.
 
     Args:
-        vehicle: vehicle with the implementation of the run.
+        vehicle: vehicle with the implementation (such as sample period and delay) that the run used.
         controller: controller of the run.
         recorded: the run in the log.
         h: timestep with which the run was simulated [s].
@@ -190,7 +190,9 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
 
 
 def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iterator[Finding]:
-    """Compares the logged responses with those of the repeated run: MuJoCo, sampled and continuous, including the road."""
+    """Compares the logged responses (of MuJoCo, of the sampled and of the continuous loop, including the road) with the
+    repeated ones.
+    """
     states, end = controller_states(run.controller), run.broke_off[1] if run.broke_off else math.inf
     new = {MUJOCO: physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
     new = {topic: response for topic, response in new.items() if topic == MUJOCO or not np.isnan(response.values).all()}
@@ -284,7 +286,7 @@ def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds
         said: values in the log, as a JSON value.
         now: recomputed values, as a JSON value.
         what: plural noun that the text uses for further differences.
-        holds: text of each finding that is yielded if no value differs.
+        holds: texts of the findings that are yielded if no value differs.
 
     Yields:
         A finding about the first difference, with the number of further differences; otherwise a finding for each of `holds`.

@@ -1,7 +1,7 @@
 """Repetition of a logged run: reads vehicle, controller and road, predicts the run by linear analysis, and simulates it.
 
-The replay does not design controllers and needs no solver. The log contains the proof of the certificate, and the law, from
-which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
+The replay does not design controllers, so it does not need a solver. The log contains the proof of the certificate, and the
+law, from which the linear response is computed. A law in Python is not executed. Instead, MuJoCo applies the forces in the log.
 """
 
 import json
@@ -41,7 +41,7 @@ LAW = ("gain", *MATRICES, "sample_period")  # metadata keys that define the cont
 
 
 def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
-    """Returns the vehicle of the attached vehicle file.
+    """Returns the vehicle that the attached vehicle file describes.
 
     Args:
         log: log that contains the run or its vehicle file.
@@ -60,7 +60,7 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
 def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     """Returns the vehicle with the actuators, initial state and implementation of a run.
 
-    In these respects, a run may differ from the vehicle file. For example, `sim.margins` adds a delay.
+    A run may differ from the vehicle file in these settings. For example, `sim.margins` adds a delay.
     """
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
@@ -75,8 +75,9 @@ def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
     """Returns the controller of a run.
 
-    The controller is taken from the vehicle file. The log contains the proof, and the law if it was designed. The text of a law
-    in Python is attached to the log. If the run used exported code, the code is compiled again.
+    The controller is taken from the vehicle file. The log contains the proof of the certificate and, if the law was designed,
+    the law itself. The text of a law in Python is attached to the log. If the run used exported code, the code is compiled
+    again.
 
     Raises:
         InputError: the vehicle file does not contain the controller, or the proof or the code is invalid.
@@ -96,7 +97,7 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     entry = vehicle.controllers.get(name)
 
     def linear(name: str) -> Controller:
-        """Returns a linear controller. Its law is taken from the vehicle file or, if the law was designed, from the log."""
+        """Returns a linear controller. The law is taken from the vehicle file or, if it was designed, from the log."""
         request = DesignRequest() if entry is None else entry.request
         signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
         given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None

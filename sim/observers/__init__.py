@@ -1,1 +1,3 @@
-"""Observers of runs: recorder, ends, twin and growth work during a run; steps, commands and energy check a recording."""
+"""Observers of runs: `recorder`, `ends`, `twin` and `growth` work during a run; `steps`, `commands` and `energy` check its
+recording.
+"""

@@ -1,10 +1,10 @@
 """Compares the commands of a run with its control law, which is evaluated at every sample for the measurements of the run.
 
 At each sample, the law is evaluated with the measurements of the run and the recorded states of the law. An error at one sample
-therefore cannot hide an error at another. Three things are compared. The measurements must be the run's signals at the sample,
-to which noise and quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each
-command must act `delay` samples after its measurements. A Python control law, an FMU or exported code is started again and
-receives the measurements of the run.
+therefore cannot hide an error at another sample. Three things are compared. The measurements must be the run's signals at the
+sample, to which noise and quantisation are added. The commands must be those of the law, within the ranges of semi-active
+dampers. Each command must act `delay` samples after its measurements. A Python control law, an FMU or exported code is started
+again and receives the measurements of the run.
 """
 
 from collections.abc import Iterator
@@ -176,8 +176,8 @@ def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) ->
     Each command starts from the logged command of the previous sample.
 
     Args:
-        logged: commands that have acted in the run, by sample, shape (.., m). Later commands start from commands that are
-            computed here.
+        logged: commands that have acted in the run, by sample, shape (.., m). Commands after the last logged one start from the
+            commands that this function computes.
     """
     before = np.zeros_like(requested)
     before[1 : len(logged) + 1] = logged[: max(len(before) - 1, 0)]
@@ -235,7 +235,9 @@ def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) 
 
 
 def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Array:
-    """Starts a Python control law, an FMU or exported code again. Returns its commands for the measurements, shape (K, c)."""
+    """Starts a Python control law, an FMU or exported code again. Returns the law's commands for the measurements, shape (K,
+    c).
+    """
 
     vehicle, h = road.vehicle, road.timestep
     driver = driver_of([controller])

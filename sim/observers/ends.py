@@ -14,10 +14,11 @@ from sim.drive.regime import DIVERGENCE, END_NAMES, FLAT, LAW_OVERFLOW, REGIME_E
 
 @dataclass(frozen=True, eq=False)
 class RunEnd:
-    """Ends of the linear regime of one run.
+    """Events that end the linear regime of one run, and the time at which the run diverged.
 
     Attributes:
-        times: first time of each of `REGIME_ENDS` [s], shape (E,); infinity for an end that is not reached.
+        times: time at which each event in `REGIME_ENDS` first occurs [s], shape (E,); infinity for an event that does not
+            occur.
         diverged: time at which the run diverged [s]; infinity if it did not diverge.
         law_diverged: True if the run diverged only because of the states of its law.
     """
@@ -28,7 +29,7 @@ class RunEnd:
 
     @property
     def flat(self) -> float:
-        """Time at which a tyre is first fully compressed [s]; infinity if no tyre is."""
+        """Time at which a tyre is first fully compressed [s]; infinity if no tyre is ever fully compressed."""
         return float(self.times[REGIME_ENDS.index(FLAT)])
 
     @cached_property
@@ -53,23 +54,25 @@ class RunEnd:
 
 
 class Ends:
-    """Detects the ends of the linear regime of N runs."""
+    """Detects the events that end the linear regime in N runs."""
 
     def __init__(self, batch: Batch) -> None:
-        """Prepares the runs of a batch."""
+        """Prepares the detection for the runs of a batch."""
         laws = [one.has_anti_windup for one in batch.drivers]
         self._batch, self._detector = batch, EndDetector(batch.vehicles, batch.time, anti_windup=laws)
 
     @property
     def until(self) -> Array:
-        """Time until which each run is linear [s], from the blocks so far, shape (N,); infinity if no limit was reached."""
+        """Time until which each run is linear [s], according to the blocks so far, shape (N,); infinity if no limit was
+        reached.
+        """
         return np.minimum(self._detector.first, self._batch.diverged)
 
     def take(self, block: Block) -> None:
-        """Receives the next block."""
+        """Receives the next block of samples."""
         self._detector.update(block.start, block.values)
 
     def result(self) -> list[RunEnd]:
-        """Returns the ends of each run."""
+        """Returns the `RunEnd` of each run."""
         each = zip(self._detector.times, self._batch.diverged.tolist(), self._batch.law_diverged.tolist(), strict=True)
         return [RunEnd(*one) for one in each]

@@ -1,31 +1,32 @@
 """Energy balance of a run: work of road and actuators compared with stored and dissipated energy.
 
-The balance needs no reference response. MuJoCo holds the road within a step, so the road does work only between the steps. There,
-the jump of the road height changes the energy of the tyre springs. Within a step, the stored energy changes by the work of
-actuators and loads, minus the energy that the dampers dissipate:
+The balance needs no reference response. MuJoCo keeps the road height constant within a step, so the road does work only between
+the steps. Between two steps, the road height jumps, which changes the energy of the tyre springs. Within a step, the stored
+energy changes by the work of actuators and loads, minus the energy that the dampers dissipate:
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
-Here E is the kinetic and potential energy. The residual of this equation is due to errors of the integrator and of the integrals.
-The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the lengths l and
-rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear
-in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
-tyre leaves the road. The force then has a kink, and the residual is only of about second order. The knots of characteristics have
-the same effect.
+Here E is the kinetic and potential energy. The residual of the energy balance is due to errors of the integrator and of the
+integrals. The integrals use Simpson's rule. The values in the middle of a step are those of the cubic (Hermite) through the
+lengths l and rates l' at both ends. The slope of this cubic in the middle has an error of fourth order in the step. If every
+spring is linear in its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a
+step, for example if a tyre leaves the road. The force then has a kink, and the residual is only of about second order. The
+knots of characteristics also cause kinks in the force.
 
 E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
-file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. So does any force in
-MuJoCo that the vehicle does not have. If the equations of a vehicle type do not include energy, MuJoCo computes E, and only the
-comparison with the linear model checks the masses. Nonlinear suspension forces, bump stops and the largest force of an actuator
-always come from the vehicle file. The coefficients of linear dampers come from the MuJoCo model.
+file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual. Any force in MuJoCo
+that the vehicle does not have also causes a residual. If the equations of a vehicle type do not include energy, MuJoCo computes
+E, and only the comparison with the linear model checks the masses. Nonlinear suspension forces, bump stops and the largest
+force of an actuator always come from the vehicle file. The coefficients of linear dampers come from the MuJoCo model.
 
 The work of an actuator is computed along the deflection of its suspension. If an actuator of the MuJoCo model acts on one end
 only, or through a gear, this also causes a residual. The work of an actuator without a suspension, which acts against the ground,
-is computed along MuJoCo's actuator. For this actuator, only the comparison with the linear model shows these faults. The force of
-a semi-active damper beyond its nominal force is -d l'. The coefficient d is held over a step, or lags behind its command. The
-work of this force is also computed with Simpson's rule. An element of `[parts]` whose voltage is set stores energy that depends
-on its present voltage, so a change of the voltage does work. This work of the coil is counted as work of the actuator. A separate
-check of force and speed at every sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
+is computed along MuJoCo's actuator. For such an actuator, only the comparison with the linear model shows whether it acts
+correctly in the MuJoCo model. The force that a semi-active damper adds to its nominal force is -d l'. The coefficient d is held
+over a step, or lags behind its command. The work of this force is also computed with Simpson's rule. If a controller sets the
+voltage of an element of `[parts]`, the energy stored in the element depends on its present voltage. A change of the voltage
+therefore does work. The work of the coil that sets the voltage is counted as work of the actuator. A separate check of force
+and speed at every sample confirms that a damper dissipates energy for every commanded coefficient or voltage.
 
 The residual is given relative to the turnover. The turnover is the sum of the energy that the dampers dissipate, the energy that
 the actuators supply and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide
@@ -129,7 +130,7 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
 
 
 def _elements(vehicle: Vehicle) -> "Sequence[SetColumn]":
-    """Returns the elements whose voltages are set."""
+    """Returns the force elements whose voltages a controller sets."""
     if not vehicle.dampers:
         return ()
 
@@ -191,12 +192,13 @@ def _lost_energy(
 
 @dataclass(frozen=True, eq=False)
 class _Length:
-    """A length over the T - 1 steps of a run.
+    """A length, such as that of a tendon, over the T - 1 steps of a run.
 
     Attributes:
-        d: deflection from equilibrium at the samples, with the road of the step that begins [m], shape (T,).
+        d: deflection from equilibrium at the samples, for the road height in the step that begins at each sample [m], shape
+            (T,).
         v: rate of the deflection [m/s], shape (T,).
-        after: deflection at the end of every step, with the road of this step [m], shape (T - 1,).
+        after: deflection at the end of every step, for the road height in this step [m], shape (T - 1,).
         h: duration of a step [s].
     """
 
@@ -267,12 +269,12 @@ def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array,
 
 
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
-    """Returns the road's work in each step except that on the tyre springs, and the energy that tyres dissipate [J].
+    """Returns the road's work in each step, except its work on the tyre springs, and the energy that tyres dissipate [J].
 
-    The shapes are (T - 1,) each.
+    Both results have the shape (T - 1,).
 
-    The nonelastic part R of a damping tyre's force acts between road and hub. The power of the road is R w at the road velocity
-    w, the power on the hub is R l', and the tyre dissipates the difference.
+    If a tyre has damping, the nonelastic part R of its force acts between road and hub. The power of the road is R w at the
+    road velocity w, the power on the hub is R l', and the tyre dissipates the difference.
     """
     model, by_road, lost = path.model, np.zeros(len(path.ends)), np.zeros(len(path.ends))
     for wheel, i in zip(*damped_tyres(road.vehicle, model), strict=True):
@@ -311,14 +313,16 @@ class _Path:
     Attributes:
         model: compiled model of the vehicle.
         h: duration of a step [s].
-        starts: potential and kinetic energy, lengths, and rates of the lengths, with the road of the step that begins, shape
-            (T, n).
-        ends, rest: the same quantities at the end of every step, with the road of this step, shape (T - 1, n), and in
+        starts: potential and kinetic energy, lengths, and rates of the lengths at the samples, shape (T, n). The road height is
+            that in the step that begins at each sample.
+        ends, rest: the same quantities at the end of every step (with the road height in this step), shape (T - 1, n), and in
             equilibrium, shape (n,).
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
-        """Evaluates T states with the road of the step that begins and, if it moved, also with the road of the step that ends."""
+        """Evaluates T states for the road height in the step that begins and, if it changed, also for that in the step that
+        ends.
+        """
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))
@@ -344,9 +348,9 @@ class _Path:
 
 @lru_cache(maxsize=16)
 def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
-    """Returns the vehicle's model for its energy.
+    """Returns the MuJoCo model that computes the energy of the vehicle.
 
-    Bump stops are omitted, and the springs of damping tyres are ordinary springs.
+    Bump stops are omitted, and tyres with damping have ordinary springs.
     """
     spec = build_spec(replace(vehicle, limits=Limits()), timestep)
     for actuator in spec.actuators:

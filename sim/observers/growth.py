@@ -13,12 +13,12 @@ class Growth:
     """Records the state of each run at one sample."""
 
     def __init__(self, samples: Sequence[int], batch: Batch) -> None:
-        """Prepares the runs of a batch. `samples` contains, for each case, the index of the sample to record."""
+        """Prepares the recording for the runs of a batch. `samples` contains the index of the sample to record for each case."""
         self._samples = [samples[i] for i in batch.numbers]
         self._states: list[Array] = [np.zeros(0)] * len(self._samples)
 
     def take(self, block: Block) -> None:
-        """Receives the next block."""
+        """Receives the next block of samples."""
         for i, sample in enumerate(self._samples):
             if 0 <= (k := sample - block.start) < len(block.qpos):
                 self._states[i] = np.concatenate([block.qpos[k, i], block.qvel[k, i]])

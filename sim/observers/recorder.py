@@ -24,10 +24,11 @@ class Recording:
     """Recording of one MuJoCo run.
 
     Attributes:
-        case: case of the run.
+        case: vehicle, controller and road that were simulated.
         input: vehicle and road of the run, with the road heights at the samples.
-        response: signals of the vehicle, followed by the states of a linear law, each at the law's last sample. After a
-            divergence, signals are NaN. States of the law are then infinite if they caused the divergence, and otherwise NaN.
+        response: signals of the vehicle, followed by the states of a linear law, which are those at the law's most recent
+            sample. After a divergence, signals are NaN. If states of the law caused the divergence, the states are then
+            infinite; otherwise, they are NaN.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run.
         qvel: MuJoCo's generalised velocities, shape (T, nv).
         measured: each measured signal and closing velocity at the samples of the controller, shape (T,), by name; see
@@ -60,7 +61,7 @@ class Recording:
 
     @property
     def law_states(self) -> Array:
-        """States of a linear law, each at the law's last sample, shape (T, k)."""
+        """States that a linear law had at its most recent sample, shape (T, k)."""
         return self.response.values[:, len(self.vehicle.kind.signals) :]
 
 
@@ -72,7 +73,7 @@ class Recorder:
         self._batch, self._blocks = batch, list[Block]()
 
     def take(self, block: Block) -> None:
-        """Receives the next block."""
+        """Receives the next block of samples."""
         self._blocks.append(block)
 
     def result(self) -> list[Recording]:
@@ -109,6 +110,6 @@ def from_steady(road: RoadInput, response: Response) -> Response:
 
 
 def record(cases: "list[Case]", time: Array, threads: int = 1) -> list[Recording]:
-    """Returns the recordings of cases at sample times [s]. Arguments as for `drive`."""
+    """Simulates cases; returns their recordings at the sample times `time` [s]. For the arguments, see `drive`."""
     (recordings,) = drive(cases, time, Recorder, threads=threads)
     return recordings

@@ -30,9 +30,10 @@ class LocalAgreement:
 
     Attributes:
         error: difference that is largest compared with its allowed difference, relative to the peak of its signal.
-        allowed: allowed difference of the same signal, relative to the peak of the signal.
-        signal: name of the signal, command or state of the law that has this difference.
-        since: time of the first step or sample at which a difference exceeds the allowed one [s]; infinity if none does.
+        allowed: allowed difference of the signal `signal`, relative to the peak of this signal.
+        signal: name of the signal, command or state of the law that has the difference `error`.
+        since: time of the first step or sample at which a difference exceeds the allowed difference [s]; infinity if no
+            difference does.
     """
 
     error: float
@@ -64,8 +65,8 @@ class CommandAgreement(LocalAgreement):
     """Differences between a run and its control law: measurements, commands and states of the law.
 
     Attributes:
-        repeatable: False if the law gave different commands for the same measurements when it was started again twice. The
-            commands of such a law are not compared.
+        repeatable: False if the law was started again twice and gave different commands for the same measurements. The commands
+            of a law that is not repeatable are not compared.
     """
 
     repeatable: bool = True

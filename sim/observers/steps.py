@@ -1,14 +1,14 @@
 """Compares a simulation with the exact equations, step by step and signal by signal, even if the motion is not linear.
 
 The signals at one sample determine the state. A step of RK4 with the equations of the vehicle file then gives the signals at the
-next sample. The simulated signals must be the same up to rounding errors. The equations include rotating bodies, nonlinear
-characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the simulated state, so an error in
-one step cannot hide an error in another. All steps can therefore be computed together. Forces and damper coefficients are the
-commands of the controller, with the limits and the lag of the vehicle file.
+next sample. The simulated signals must equal the signals from the equations up to rounding errors. The equations include
+rotating bodies, nonlinear characteristics, bump stops, tyres in the air and forces at their limits. Every step begins at the
+simulated state, so an error in one step cannot hide an error in another step. All steps can therefore be computed together.
+Forces and damper coefficients follow from the commands of the controller, with the limits and the lag of the vehicle file.
 
 The state and the forces at a sample also determine all other output signals. The other output signals are accelerations at the
 beginning of the step, velocities of points of the body, sums of signals, and the forces. The simulated values of these signals
-must also be the same.
+must also equal the computed values.
 """
 
 from collections.abc import Mapping
@@ -60,7 +60,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     Args:
         road: road input that the run should have; the road input includes the vehicle.
         recording: recording of the run.
-        until: time of the last step [s].
+        until: time before which the compared steps end [s].
         rounding: rounding error of every output signal in the loop, see `sim.linear.rounding`.
     """
     if (motion := motion_of(road.vehicle)) is None:
@@ -182,8 +182,8 @@ def _pulls(
 ) -> "Pulls":
     """Returns a function that computes the suspension forces for given states, including those of inertial parts.
 
-    Without inertial parts, the rates of the deflections change by a. The forces p of inertial parts change these rates to a + R
-    p, so p = b (a + R p). A complex step along a motion gives the exact change of these rates.
+    Let a be the second time derivatives of the deflections without the forces of inertial parts. The forces p of inertial parts
+    change these derivatives to a + R p, so p = b (a + R p). A complex step along a motion gives these derivatives exactly.
 
     Args:
         given: commands that act during the RK4 stage.
@@ -225,7 +225,7 @@ def _pulls(
 
 
 def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
-    """Computes the vehicle's other signals at the starts from the equations, for given commands and loads, shape (K,) each."""
+    """Computes the signals that the state does not contain, from the equations, for given commands and loads, shape (K,) each."""
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 

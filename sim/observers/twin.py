@@ -16,7 +16,7 @@ class SignalMeter(Protocol):
     """Meter that receives blocks of signals, shape (B, S, N)."""
 
     def update(self, values: Array) -> None:
-        """Receives the next block."""
+        """Receives the next block of samples."""
         ...
 
 
@@ -28,7 +28,7 @@ class Twin:
     """
 
     def __init__(self, batch: Batch, ends: Ends, meter: "SignalMeter | None" = None) -> None:
-        """Prepares the runs of a batch. `ends` must observe each block before the twin."""
+        """Prepares the comparison for the runs of a batch. `ends` must observe each block before the twin."""
         self._batch, self._ends, self.meter, self._responses = batch, ends, meter, ResponseBatch(batch)
         kind, model, outputs = batch.vehicles[0].kind, batch.vehicles[0].linear_model, self._responses.outputs
         self._units = [kind.signal(name).unit for name in outputs]
@@ -36,7 +36,9 @@ class Twin:
         self._states = [i for i, name in enumerate(outputs) if name in model.states]
 
     def take(self, block: Block) -> None:
-        """Compares the next block. If there is a meter, the outputs in the block are replaced by those of the linear response."""
+        """Compares the next block of samples with the linear responses. If there is a meter, the outputs in the block are
+        replaced by those of the linear response.
+        """
         values, some = block.values, slice(block.start, block.start + len(block.values))
         before, index = self._batch.time[some, None] < self._ends.until, self._responses.index
         with np.errstate(over="ignore", invalid="ignore"):  # the signals of an unstable loop overflow; the run records this

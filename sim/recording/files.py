@@ -43,8 +43,8 @@ def record(
         stem: common name of the files, without suffix.
         runs: runs with distinct names.
         metadata: metadata that apply to all runs, as text by key.
-        attachments: media type and content of each attached file, by name. Only the MCAP file contains them; Rerun files
-            cannot.
+        attachments: media type and content of each attached file, by name. Only the MCAP file contains attachments; a Rerun
+            file cannot contain them.
 
     Returns:
         Paths of the files: `mcap`, `layout` and `rerun`.

@@ -94,7 +94,9 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
 
 
 def _plot(panels: dict[str, Any], runs: Sequence[RunLog], plot: Plot, name: str) -> str:
-    """Adds a plot over time, or over another field. Returns its id. All plots over time zoom together."""
+    """Adds a plot over time, or over a field of the messages other than time. Returns its id. All plots over time zoom
+    together.
+    """
     panel = f"Plot!{_id(name)}"
     axis: dict[str, Any] = {"xAxisVal": "timestamp"}
     if plot.diagram is not None:
@@ -143,7 +145,7 @@ def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) 
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
-    """Returns parts in a row or a column, as the binary tree that both viewers use."""
+    """Returns parts of a layout, arranged in a row or a column, as the binary tree that both viewers use."""
     shares = [*shares, *[1.0] * len(parts)][: len(parts)]
     if len(parts) == 1:
         return parts[0]

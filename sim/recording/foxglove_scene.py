@@ -54,7 +54,7 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
     """Yields the poses of all bodies and of the car as a whole.
 
     Args:
-        run: run with finite frames.
+        run: run whose frames contain only finite numbers.
         times: times of the frames [ns].
         stand: position in the world at which the car is shown [m], shape (3,).
     """
@@ -83,7 +83,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     """Yields the message with the solids, fixed to their bodies, and with the name of the run above the car.
 
     Args:
-        run: run with finite frames.
+        run: run whose frames contain only finite numbers.
         time: time of the message [ns].
         color: colour of the name (red, green, blue), from 0 to 255.
     """
@@ -101,7 +101,9 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
-    """Yields struts, tyres and arrows of control forces. A force of `largest` [N] has the longest arrow."""
+    """Yields the messages that draw struts, tyres, and arrows for control forces. A force of `largest` [N] has the longest
+    arrow.
+    """
     scene = run.scene
     struts = [
         _pack_points(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)
@@ -142,7 +144,7 @@ def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
 
 
 def _arrow(tail: Array, vector: Array) -> ArrowPrimitive:
-    """Returns the arrow of a control force."""
+    """Returns the arrow that shows a control force."""
     length = float(np.linalg.norm(vector))
     direction = vector / length
     # Quaternion of the rotation that turns +x into the direction; it is not normalised.
@@ -178,7 +180,7 @@ def _add_solid(entity: Any, shape: Shape) -> None:
 def _pack_points(points: Array, field: int) -> Array:
     """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles.
 
-    The shape changes from (..., P, 3) to (..., P).
+    The shape of the array changes from (..., P, 3) to (..., P).
 
     When the message is serialised later, zeros are omitted. The number of the field must be below 16.
     """

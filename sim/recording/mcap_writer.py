@@ -74,12 +74,12 @@ def write_mcap(
 def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """Yields all channels of a log in order.
 
-    Each response has a topic: `/mujoco` for a single run, or `/I/mujoco` for one of several runs. The topic has a message per
-    sample with a double per signal, and log_time = publish_time = t in ns. The metadata of the channel contains unit, symbol
-    and meaning of every signal as JSON by name; the schema contains them as comments. `/difference` contains the MuJoCo response
-    minus the sampled response, relative to the peak of each signal, in single precision. Other forces are in `/loads` and
-    `/dampers`. Events are `foxglove.Log` messages in `/events`. The moving car is in `/transforms`, `/shapes` and `/scene`, with
-    Foxglove's published schemas. Channels without messages are omitted.
+    Each response has a topic: `/mujoco` for a single run, or `/I/mujoco` for one of several runs. The topic has one message for
+    each sample, with one double for each signal and log_time = publish_time = t in ns. The metadata of the channel contains
+    unit, symbol and meaning of every signal as JSON by name; the schema contains them as comments. `/difference` contains the
+    MuJoCo response minus the sampled response, relative to the peak of each signal, in single precision. Forces that are not
+    part of the responses are in `/loads` and `/dampers`. Events are `foxglove.Log` messages in `/events`. The moving car is in
+    `/transforms`, `/shapes` and `/scene`, with Foxglove's published schemas. Channels without messages are omitted.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:

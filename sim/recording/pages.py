@@ -60,7 +60,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """Plot of curves over time, or of a force over its argument if there is a diagram."""
+    """Plot of curves over time or, if the plot has a diagram, of a force over its argument."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -89,7 +89,8 @@ def colour_of(runs: Sequence[RunLog], run: RunLog) -> str:
 
 
 def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
-    """Returns the pages of a single run with all its responses, loads and diagrams, or of all runs with one curve each.
+    """Returns the pages of a single run with all its responses, loads and diagrams, or of several runs with one curve for each
+    run.
 
     The first page is the overview. The last page is the road, which all responses share.
     """
@@ -119,7 +120,7 @@ def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
 
 
 def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
-    """Yields the curve of a signal in the measured log of a run, if it is measured."""
+    """Yields the measured curve of a signal, if the run is compared with a measured log that contains this signal."""
     if MEASURED_TOPIC in run.other_signals and signal.name in run.other_signals[MEASURED_TOPIC].names:
         yield Curve(run, MEASURED_TOPIC, signal.name, "measured", LOG_COLOUR, 2.5)
 
@@ -199,7 +200,9 @@ def _peak(runs: Sequence[RunLog], name: str) -> float:
 
 
 def _title(run: RunLog, group: str) -> str:
-    """Returns the title of a run's page: its group. For a controller with many states, it includes the number of states shown."""
+    """Returns the title of a run's page: its group. For a controller with many states, the title includes the number of states
+    shown.
+    """
     if group != CONTROLLER or len(run.active) <= MOST_ACTIVE:
         return group
     return f"{group}: the {MOST_ACTIVE} of {len(run.active)} states that contribute most"

@@ -55,7 +55,9 @@ def entity(*parts: str) -> str:
 
 
 def time_index(time: Array) -> list[rr.TimeColumn]:
-    """Returns times [s], rounded to nanoseconds as in the MCAP file. Rerun would truncate seconds given as floats."""
+    """Returns times [s], rounded to nanoseconds as in the MCAP file. Rerun would truncate times that are given as floats in
+    seconds.
+    """
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
@@ -88,7 +90,7 @@ def curve_path(curve: Curve) -> str:
 def _log_curves(recording: rr.RecordingStream, path: str, curves: Sequence[Curve], ended: bool = True) -> None:
     """Logs the curves of one response at an entity path.
 
-    NaN shortly after the end makes a plot of these curves extend to that time.
+    A NaN shortly after the end of the curves makes their plot extend to the time of this NaN.
     """
     time, values = curves[0].response.time, np.stack([curve.values for curve in curves], axis=-1)
     after = time[-1:] + AFTER_END * time[-1:] if ended else time[:0]

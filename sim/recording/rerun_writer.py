@@ -243,7 +243,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 def _check_complete(path: Path) -> None:
     """Checks that a file is complete by reading its table of contents.
 
-    Rerun writes this table last, in a thread, and reports no error if the disk is full.
+    Rerun writes the table of contents last, in a thread, and reports no error if the disk is full.
     """
     try:
         with warnings.catch_warnings(action="error"):

@@ -33,7 +33,8 @@ class RunLog:
 
     Attributes:
         name: name of the run, usually that of its controller.
-        responses: responses by topic: simulated by MuJoCo, exact sampled, and of the paper's continuous loop.
+        responses: responses by topic: simulated by MuJoCo, exact for the sampled loop, and exact for the paper's continuous
+            loop.
         metadata: claims about the run (its properties and results), as text by key. Structured values are JSON.
         events: time [s] and text of each event, such as lift-off, landing or divergence.
         summary: description of the controller's design and the verdict on the run, as Markdown.
@@ -64,7 +65,7 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if either is missing."""
+        """MuJoCo's response minus the sampled response, relative to the peak of each signal; None if one of them is missing."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])

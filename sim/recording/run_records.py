@@ -56,9 +56,9 @@ SPACING, MOST = 0.05, 20_000
 def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     """Converts a run to a scene with 60 frames per second.
 
-    The names in the MuJoCo model determine the drawing. A spring is drawn from every site `NAME_bottom` to `NAME_top`, with the
-    force of an actuator on the tendon NAME. A cylinder with the name of a tendon is drawn as a tyre, with the length of this
-    tendon.
+    The names of the elements of the MuJoCo model determine what is drawn. A spring is drawn from every site `NAME_bottom` to
+    `NAME_top`, with the force of the actuator on the tendon NAME. A cylinder with the name of a tendon is drawn as a tyre, with
+    the length of this tendon.
 
     Args:
         road_input: vehicle and road, at the samples of the response.
@@ -141,7 +141,7 @@ def _actuators(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
-    """Returns the tyre of geom `i`.
+    """Returns the drawn tyre that represents the MuJoCo geom `i`.
 
     The tendon of the tyre runs from the road to the hub, and is slack above the radius of the tyre.
     """
@@ -191,7 +191,7 @@ def record_runs(
         controllers: names of the controllers, which become part of the name of the log.
         runs: runs to record, by their names in the log.
         result: result of the command, as printed by `--json`.
-        measured: signals of a measured log over the time of the runs; None without a log.
+        measured: signals of a measured log during the time of the runs; None without a measured log.
 
     Returns:
         Paths of the files, as for `sim.recording.files.record`.
@@ -283,8 +283,8 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
     Args:
         run: run that MuJoCo has simulated, not a run from a log.
         name: name of the run in the log.
-        measured: signals of a measured log over the time of the run; None without a log. Signals that the vehicle does not have
-            are omitted.
+        measured: signals of a measured log during the time of the run; None without a measured log. Signals that the vehicle
+            does not have are omitted.
 
     Returns:
         Responses, metadata, events, scene and verdict of the run.

@@ -71,7 +71,7 @@ class Tyre:
 
     Attributes:
         name: name of the tyre, unique within its body.
-        body: name of the body that carries the tyre. The hub is at the origin of this body.
+        body: name of the body that carries the tyre. The hub is at the origin of the body that carries the tyre.
         radius: undeformed radius [m].
         half_width: half the width of the tyre [m].
         middle: y coordinate of the middle of the tyre (along the axle), in the frame of the body [m].
@@ -95,7 +95,7 @@ class Tyre:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Profile of a road along one track, which moves towards the vehicle.
+    """Profile of a road along one track. In the drawing, the profile moves towards the vehicle.
 
     Attributes:
         middle: y coordinate of the middle of the track, in the world [m].
@@ -164,7 +164,9 @@ class Scene:
         return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
 
     def extent(self) -> tuple[Array, Array]:
-        """Returns two corners of a box around all solids and tyres in all frames [m]; solids keep their first orientations."""
+        """Returns two opposite corners of a box around all solids and tyres in all frames [m]; solids keep their first
+        orientations.
+        """
         corners = []
         for shape in self.shapes:
             motion = self.bodies[shape.body]
@@ -220,7 +222,8 @@ def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
 
 
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
-    """Returns coil, rod and tube of a spring with a damper, shapes (F, points, 3), from its ends [m], shape (F, 2, 3).
+    """Returns the lines that draw coil, rod and tube of a strut, shapes (F, points, 3), from the strut's ends [m], shape (F, 2,
+    3).
 
     The tube is fixed to the body. The tube is half as long as the strut in the first frame, so that the motion of the rod is
     visible.
@@ -268,7 +271,8 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
 
 
 def road_surface(track: Track) -> tuple[Array, Array, Array]:
-    """Returns a track as a slab. The shade of grey alternates every metre, which makes the motion visible.
+    """Returns the surface of a track, drawn as a slab. The shade of grey alternates every metre, which makes the motion
+    visible.
 
     Returns:
         The vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N - 1), 3).

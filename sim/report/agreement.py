@@ -76,8 +76,8 @@ def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[Run
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        measured: metrics of each of these runs; empty if the road is the bump.
-        when: text that describes the time over which the metrics are measured.
+        measured: metrics of each run over the road; empty if the road is the bump.
+        when: text that states in which part of the run the metrics are measured.
     """
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)
@@ -131,7 +131,7 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, F
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
-        finer: agreement of the runs at half the timestep, by controller and signal.
+        finer: agreement with linear analysis in the runs at half the timestep, by controller and signal.
     """
     pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
@@ -198,9 +198,9 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
 
     Args:
         run: simulated run at the timestep of the report.
-        finer: agreement of a run at half the timestep; None if it was not simulated.
+        finer: agreement with linear analysis in a run at half the timestep; None if this run was not simulated.
         name: name of the signal whose difference is evaluated.
-        to: response from which the difference is measured, "sampled" or "continuous".
+        to: linear response with which the run is compared, "sampled" or "continuous".
     """
     if finer is None or run.prediction.cause:
         return None
@@ -209,7 +209,7 @@ def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
 
 
 class ResponseStudy(Study[None]):
-    """Study that adds a section to a page: the runs over the road."""
+    """Study that adds the section about the runs over the road to a page."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -227,7 +227,7 @@ class AgreementStudy(Study[dict[str, Finer]]):
         return {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> dict[str, Finer]:
-        """Returns the agreement by signal at half the timestep, for at most `MOST_ORDERS` controllers."""
+        """Returns the agreement at half the timestep by controller and signal, for at most `MOST_ORDERS` controllers."""
         halves = sample_times(request.vehicle, request.duration, request.timestep / 2)
         runs = run_controllers(request.vehicle, request.driven_controllers[:MOST_ORDERS], request.road, halves, balanced=False)
         return {run.controller.name: run.agreement.signals for run in runs}

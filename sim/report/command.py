@@ -1,4 +1,4 @@
-"""The pages that `python -m sim.report` writes: one for each vehicle and kind of actuators, or the gallery."""
+"""The pages that `python -m sim.report` writes: one for each vehicle and type of actuators, or the gallery."""
 
 import argparse
 import datetime
@@ -222,7 +222,7 @@ def write_gallery(options: argparse.Namespace) -> int:
 
 
 def _about(source: str) -> dict[str, str]:
-    """Returns texts that state how a page was made, by name: time, command, vehicle file and versions of packages."""
+    """Returns texts that state how a page was made, by title: time, command, vehicle file and package versions."""
     return {
         "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "command": shlex.join(["python", *sys.orig_argv[1:]]),
@@ -256,7 +256,9 @@ def _files(page: Page) -> list[tuple[Figure | Table, tuple[str, ...]]]:
 
 
 def _others(page: Page, folder: Path) -> list[str]:
-    """Returns the names of figures and tables in the folder that do not belong to this page. The command keeps these files."""
+    """Returns the names of figures and tables in the folder that do not belong to this page. The command does not delete such
+    files.
+    """
     own = {name for _, names in _files(page) for name in names}
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in (".csv", ".svg", ".png")}
     return sorted(name for name in there - own if not name.startswith("."))

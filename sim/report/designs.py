@@ -102,8 +102,8 @@ GOALS: tuple[Field[tuple[str, Specification]], ...] = (
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
     """Returns the table of a controller's gains with a row per measured signal; None if the controller measures nothing.
 
-    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. Its cells
-    contain the amplitude of the force, or of all forces together, as in a Bode plot.
+    The table of a static gain K has a column per force. The table of a dynamic controller has a column per frequency. The cells
+    of this table contain the amplitude of the force, or of all forces together, as in a Bode plot.
     """
     if not controller.measured:
         return None
@@ -178,7 +178,7 @@ def other_ways(designer: Designer) -> Table:
 
 
 class DesignsStudy(Study[None]):
-    """Study that adds a section to a page: the designs of all controllers."""
+    """Study that adds the section about the designs of all controllers to a page."""
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
@@ -186,7 +186,7 @@ class DesignsStudy(Study[None]):
 
 
 class PaperStudy(Study[Document]):
-    """Study that adds a section to the page about the paper's vehicle: published and computed numbers."""
+    """Study that adds the section with published and computed numbers to the page about the paper's vehicle."""
 
     seconds = 2.0
 

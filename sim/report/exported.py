@@ -38,7 +38,7 @@ def exported_section(scope: Subject) -> Document:
 
 
 class ExportedStudy(Study[Document]):
-    """Study that adds a section to a page: exported code."""
+    """Study that adds the section about exported code to a page."""
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
         """See `Study`."""

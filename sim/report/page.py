@@ -44,7 +44,8 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
         provenance: texts that state how the report was made, such as time and command, by name.
-        begin: function that starts requests and returns a function that waits for the results, such as `Processes.begin`.
+        begin: function that starts the computations of the studies and returns a function that waits for their results; see
+            `Processes.begin`.
         progress: callback that receives the name of each study when it begins.
     """
     # The copy of `scope` omits the cached runs, because transferring them would take long
@@ -72,13 +73,15 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
 
 def requests_of(scope: Subject) -> dict[Name, Any]:
-    """Returns the requests of a page by study and subject, the longest request first. Requests are independent of each other."""
+    """Returns the requests of a page by study and subject, the longest first. Each request is an independent computation of a
+    study.
+    """
     studies = sorted((one(name) for name, one in STUDIES.load_all().items()), key=lambda one: -one.seconds)
     return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
 
 
 def stages(scope: Subject) -> tuple[str, ...]:
-    """Returns the stages of a page in their order."""
+    """Returns the names of the stages in which a page is computed, in their order."""
     return RUNS, *dict.fromkeys(name for name, _ in reversed(requests_of(scope)))
 
 
@@ -97,7 +100,9 @@ def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Sc
 
 
 def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
-    """Returns the section that states how the page was made: all settings, and all numbers of the vehicle file that matter."""
+    """Returns the section that states how the page was made: all settings, and all numbers of the vehicle file that affect the
+    page.
+    """
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
     if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven_controllers}]:

@@ -1,4 +1,4 @@
-"""Processes that compute the requests of a page in parallel, because a Python process uses only one core."""
+"""Processes that run the requests (computations of studies) of a page in parallel; a Python process uses only one core."""
 
 import multiprocessing
 import os
@@ -21,7 +21,9 @@ Name = tuple[str, str]  # name of a request: the study that it belongs to, and i
 
 
 def processes(quick: bool) -> int:
-    """Returns the best number of child processes: 0 on a single core or for a quick report, which is faster than imports."""
+    """Returns the best number of child processes: 0 on a single core, or for a quick report, which takes less time than imports
+    in child processes.
+    """
     return 0 if quick else min(cores() - 1, MOST)
 
 
@@ -51,16 +53,16 @@ class Processes:
         self._pool.shutdown(cancel_futures=True)
 
     def begin(self, requests: Mapping[Name, Any], progress: "Progress") -> Callable[[], dict[Name, Any]]:
-        """Starts requests in their order.
+        """Starts requests in the order of the mapping.
 
         Args:
             requests: requests to run, by name.
             progress: callback that receives the name of the current study.
 
         Returns:
-            Function that waits for all results and returns them by name. While it waits, the calling process itself runs requests
-            that no other process has started yet, beginning with the last one. If the pool breaks, the calling process also runs
-            all requests that have no result yet.
+            Function that waits for all results and returns them by name. While this function waits, the calling process itself
+            runs requests that no other process has started yet, beginning with the last one. If the pool breaks, the calling
+            process also runs all requests that have no result yet.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:

@@ -46,7 +46,9 @@ def first_screen(
 
 
 def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score]], table: Table, where: str) -> Figure:
-    """Returns a bar chart of ride, travel, tyre load, force and dive for all controllers, with the changes of the table."""
+    """Returns a bar chart of ride, travel, tyre load, force and dive for all controllers, with the changes from the passive
+    vehicle.
+    """
     names = tuple(one.controller for one in compared)
     look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
     columns, panels = dict(zip(table.headings, zip(*table.rows, strict=True), strict=True)), []
@@ -97,7 +99,8 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
         scope: subject of the report, with its vehicle, controllers and runs.
         runs: runs of all controllers over the road.
         ends: bump height at which the linear regime ends, for each controller.
-        wrong: names of controllers whose runs disagree with linear analysis. The section states no bump height for them.
+        wrong: names of controllers whose runs disagree with linear analysis. The section states no bump height for these
+            controllers.
     """
     vehicle = scope.vehicle
     certificates = {one.name: one.certificate for one in scope.controllers if one.certificate.stable}
@@ -127,7 +130,7 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
         scope: subject of the report, with its vehicle, controllers and runs.
         compared: scores of the controllers, which the table compares.
         rides: True if the controllers are compared over random roads.
-        when: text that describes the time over which metrics are measured on the road of the report.
+        when: text that states in which part of the run the metrics are measured.
     """
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:
@@ -137,5 +140,5 @@ def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: st
 
 
 def _height(end: RegimeEnd) -> str:
-    """Returns the bump height at which the linear regime ends in MuJoCo; a text if it differs from the predicted height."""
+    """Returns, as text, the bump height at which the linear regime ends, with a remark if MuJoCo does not confirm this height."""
     return HEIGHT.text(end.found) if end.confirmed else f"NOT as predicted, {HEIGHT.text(end.predicted)}"

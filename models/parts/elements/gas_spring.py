@@ -9,9 +9,9 @@ The polytropic exponent n is 1 for slow motion at constant temperature, and 1.4 
 stiffness in equilibrium is n p_0 A^2 / V_0, where p_0 is the gas pressure in equilibrium (J. Reimpell, H. Stoll, J. W. Betzler,
 The Automotive Chassis, 2nd ed., section 5.3).
 
-At another temperature T, the load and the pressure in equilibrium stay the same. The model assumes that a level control with
-oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas therefore changes: V_0 is the volume in the
-file times T / T_0.
+At a temperature T that differs from T_0, the load and the pressure in equilibrium are the same as at T_0. The model assumes
+that a level control with oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas therefore changes:
+V_0 is the volume in the file times T / T_0.
 """
 
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class GasSpring(Part, Section):
     def _inside(self, d: Array) -> Array:
         """Returns the deflections [m], limited so that the gas keeps at least its smallest volume.
 
-        If the gas were compressed further, the pressure would not rise further.
+        Beyond this limit, the pressure of the gas stays constant.
         """
         return np.maximum(d, (NARROWEST - 1) * self.column)
 
@@ -81,7 +81,7 @@ class GasSpring(Part, Section):
         return -self.whole * np.expm1(-self.exponent * np.log1p(self._inside(d) / self.column))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`. The energy is the energy of the gas minus the work of the load and of the atmosphere."""
+        """See `Part.stored`. The stored energy is the energy of the gas minus the work of the load and of the atmosphere."""
         inside, m = self._inside(d), np.maximum(self.exponent - 1, 1e-12)
         stored = self.whole * (inside + self.column * np.expm1(-m * np.log1p(inside / self.column)) / m)
         return stored + self.pull(d, np.zeros(())) * (d - inside)

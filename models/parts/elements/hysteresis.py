@@ -11,8 +11,8 @@ Motion away from z = 0 dissipates energy. Motion back to z = 0 returns the store
 A parameter c with a key `..._per_volt` has the value c + c_per_volt u at a voltage u. This includes alpha. A change of the
 voltage therefore changes the stored energy alpha S(z); the coil supplies the difference.
 
-In the linearisation at equilibrium, z - A d is constant, where d is the travel. This constant difference is a mode without
-decay. No force excites this mode, but controller design needs modes that decay. Linear analysis therefore assigns the
+In the linearisation at equilibrium, z - A d is constant, where d is the travel. The constant z - A d is a mode without decay.
+No force excites the mode without decay, but controller design needs modes that decay. Linear analysis therefore assigns the
 eigenvalue -`DECAY` to this mode, which does not change any response from equilibrium.
 """
 
@@ -131,7 +131,8 @@ class Hysteretic(Part):
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.rate`.
 
-        This version is for a part without other states: the velocity of the part is the velocity across the hysteretic element.
+        This method is for a part whose only state is z: the velocity of the part is then the velocity across the hysteretic
+        element.
         """
         return self.evolution(v, z[..., 0])[..., None]
 
@@ -184,7 +185,9 @@ class Hysteretic(Part):
         return float(self.after_yield(np.array(FAST)))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the limit of the linear range: a deviation of the force by the share `LEAVES` of the largest force."""
+        """Returns the limit of the linear range: the force differs from its linearisation by the share `LEAVES` of the largest
+        force.
+        """
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.range else ()
 
     @property

@@ -1,7 +1,7 @@
 """Bump stops of a suspension: `[limits] suspension_stroke` and `stop_stiffness`.
 
-A stop touches when its stroke is used up, and then pushes back; see `models.parts.stops.stop`. A spring of MuJoCo can have a
-dead band and a polynomial force, so it can represent a stop without a table.
+A stop makes contact when the suspension has travelled the stroke, and then pushes back; see `models.parts.stops.stop`. A spring
+of MuJoCo can have a dead band and a polynomial force, so it can represent a stop without a table.
 """
 
 import math
@@ -88,6 +88,6 @@ class Stops(Part):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the stops of a suspension as given in `[limits]`."""
+        """Yields the part that represents the stops of a suspension in `[limits]`."""
         if (own := vehicle.limits.stops_at(place.corner)) is not None:
             yield cls(*own), ""

@@ -14,7 +14,7 @@ MOST = 3  # largest number of coefficients of a stop; MuJoCo's polynomial spring
 
 @dataclass(frozen=True)
 class StopPair:
-    """Different values for bump and rebound. The value of a side without a stop is None."""
+    """Values of a bump stop for bump and for rebound. The value is None for a side without a stop."""
 
     bump: Any
     rebound: Any
@@ -34,7 +34,7 @@ class OfSides(Key):
         object.__setattr__(self, "unit", self.one.unit)
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the value for both sides, or a `StopPair`."""
+        """Returns the value that both sides share, or a `StopPair`."""
         if not isinstance(value, Mapping) or {"force", "file"} & set(value):
             return self.one.read(value, context)
         # In a log, a side without a stop has the value null
@@ -48,7 +48,7 @@ class OfSides(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of a value for both sides, or of a value for each side."""
+        """The JSON schema of one value for both sides, or of a table with a value for each side."""
         one = dict(self.one.json)
         return {"anyOf": [one, {"type": "object", "properties": dict.fromkeys(SIDES, one), "additionalProperties": False}]}
 

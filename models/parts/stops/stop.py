@@ -5,13 +5,13 @@ k_2 x + k_3 x^2), because the stiffness of rubber grows with compression. A sing
 list of up to three numbers describes a progressive stop, and a table gives the force at each point. The form {bump, rebound}
 gives a value for each side; an omitted side has no stop.
 
-If the file gives a stroke for a side, the argument of the table is the compression of the stop. Otherwise the argument is the
-compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions, if the table
-has any.
+If the file gives a stroke for a side, the argument of the table is the compression of the stop. If the file gives no stroke,
+the argument is the compression of the suspension, and the force is 0 up to the stop. The rebound stop uses the negative
+compressions, if the table has any.
 
 The name of a section in `[limits]` is the name of a corner, or the common beginning of several names. For example, `rear` means
-rear_left and rear_right. A key that is missing in a section is taken from a section that applies to more corners. For example,
-`[limits.rear]` may define a stroke for the rear axle, and use the common stiffness.
+rear_left and rear_right. If a key is missing in a section, its value is taken from a section that applies to more corners. For
+example, `[limits.rear]` may define a stroke for the rear axle, and use the common stiffness.
 """
 
 import math
@@ -37,13 +37,13 @@ ROUNDING = 1e-9  # a force below this share of the largest force of its table co
 
 @dataclass(frozen=True)
 class StopTable:
-    """Force of a stop at given points. The force is interpolated linearly, and extrapolated with the last slope.
+    """Table of the force of a stop over compression. The force is interpolated linearly, and extrapolated with the last slope.
 
     Attributes:
         compression: compression of the stop or of the suspension, ascending [m].
         force: force at each point [N], positive if it resists compression.
         fit_error: largest error of an approximation with fewer points, relative to the largest force; None for the default.
-        note: remark about the table, a phrase.
+        note: phrase with a remark about the table.
     """
 
     compression: tuple[float, ...]
@@ -56,7 +56,7 @@ class StopTable:
 
     @cached_property
     def curve(self) -> "ForceCurve":
-        """The force over the compression of the stop, 0 before the first point."""
+        """The table of the force over the compression of the stop; the force is 0 before the first point."""
         from models.characteristics.curve import ForceCurve
         from models.characteristics.curve_reading import as_lines
 
@@ -66,7 +66,8 @@ class StopTable:
 
 @lru_cache(maxsize=64)
 def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None":
-    """Returns the stop of one side from a table; None if the table has no stroke and contains no force on this side.
+    """Returns the stop that a table gives for one side; None if no stroke is given and the table contains no force on this
+    side.
 
     Args:
         table: table over the compression of the stop or, without a stroke, of the suspension.
@@ -74,8 +75,8 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
         stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
 
     Raises:
-        InputError: the stop touches in equilibrium, makes contact at a travel that differs from the stroke, or has a force that
-            pulls.
+        InputError: the stop touches in equilibrium, makes contact at a travel that differs from the stroke, or pulls instead of
+            pushing.
     """
     u, force = np.array(table.compression), np.array(table.force)
     if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):
@@ -212,7 +213,7 @@ def _of_side(value: Any, side: str) -> Any:
 
 
 def read_stop_table(value: Mapping[str, Any]) -> StopTable:
-    """Returns the table of a stop in a vehicle file. Messages contain `HERE` instead of its key."""
+    """Returns the table of a stop in a vehicle file. Messages contain `HERE` instead of the key of the table."""
     from models.characteristics.curve_reading import StopTableSection
 
     given = read(HERE, StopTableSection, value)
@@ -301,7 +302,7 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
 
 
 def _corner_key(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
-    """Returns the value of a key for the stops of a corner; None if no section has the key.
+    """Returns the value that a key of bump stops has for a corner; None if no section has the key.
 
     If several sections have the key, the value of the section for the fewest corners is used.
     """
