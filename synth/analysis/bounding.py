@@ -52,7 +52,7 @@ def certify_tightly(
         plant: plant with n states and m inputs.
         G: gain from the measurements, as in (6) of the paper, or a state gain of shape (m, n).
         lower_bound: lower bound on the norm for all controllers of the same type as G.
-        plant_without_law: plant without the states of the controller, as in `certify`.
+        plant_without_law: plant without the states of the controller; see `certify`.
     """
     plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)
     if not plain.stable or not np.isfinite(plain.norm.value):
@@ -87,16 +87,16 @@ def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" =
 def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
     """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
-    X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur complement of
-    (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the covariance of a small
-    noise. The equation is solved in coordinates in which this noise gives the states the covariance I. The accuracy therefore
-    does not depend on the units of the states.
+    The matrix X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur
+    complement of (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the
+    covariance of a small noise. The equation is solved in coordinates in which this noise drives the states to the covariance
+    I. The accuracy therefore does not depend on the units of the states.
 
     Args:
         loop: stable loop in continuous time.
         gamma: bound, larger than the norm.
         more: factor that multiplies the noise; it should be small compared with the relative gap between gamma and the norm.
-        everywhere: fraction of the noise that acts on every state, including states that are not controllable from w.
+        everywhere: relative power of the noise that acts on every state, including states that are not controllable from w.
         least_seen: True to add more of this noise in directions that are less observable in z.
 
     Raises:

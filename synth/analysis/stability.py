@@ -3,10 +3,10 @@
 Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. A pole with the imaginary part
 omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
 singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
-the allowed distance from the axis is the condition number of the eigenvalue times |E|.
+the largest such distance from the axis is the condition number of the eigenvalue times |E|.
 
 The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole by about
-sqrt(eps). If the pole is at the origin, it still counts as marginal; if it is at -1, it still counts as stable.
+sqrt(eps). Nevertheless, a double pole at the origin counts as marginal, and a double pole at -1 counts as stable.
 
 A controller can stabilise a plant only if every mode that does not decay is controllable and observable.
 """
@@ -36,9 +36,9 @@ class Stability:
     """Poles of a loop, and whether the loop is stable.
 
     Attributes:
-        poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, poles z without a unit.
+        poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, dimensionless poles z.
         on_axis: mask of the poles that are on the imaginary axis (discrete: on the unit circle) up to rounding, shape (n,).
-        rounding: norm of E, the effect of rounding errors on A [rad/s]; without a unit for a discrete loop.
+        rounding: norm of E, the effect of rounding errors on A [rad/s]; dimensionless for a discrete loop.
         vectors: right eigenvectors of the balanced A, each of length 1, complex, shape (n, n).
         dt: sample period of a discrete loop [s]; None for a continuous loop.
     """
@@ -76,7 +76,7 @@ class Stability:
 
     @property
     def worst(self) -> complex:
-        """Pole that decides whether the loop is stable: the fastest growing pole, or a pole on the axis if no pole grows.
+        """Pole that decides the stability: the fastest-growing pole, or a pole on the stability limit if no pole grows.
 
         For a loop without poles, the value is -inf, or z = 0 if the loop is discrete.
         """
@@ -231,7 +231,7 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
 
 
 class _Triangle:
-    """Schur form T of a matrix, divided into k x k parts."""
+    """Schur form T of a matrix, divided into k x k blocks, called parts."""
 
     def __init__(self, A: Array) -> None:
         T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
@@ -295,7 +295,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
             differences (`Plant.differences`), and the eigenvalues are poles z.
 
     Returns:
-        For each mode, its eigenvalue [rad/s] (discrete: z) and its left eigenvector.
+        Pairs of an eigenvalue [rad/s] (discrete: z) and a left eigenvector, one pair for each mode.
     """
     balanced, scale = balance(A)
     inputs = B / scale[:, None]
@@ -316,7 +316,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Explains why no controller can stabilise the plant. The list is empty if no single mode prevents stabilisation.
+    """Explains why no controller can stabilise the plant. The returned list is empty if no single mode prevents stabilisation.
 
     Args:
         plant: plant to check. If it has no measurements, every state counts as measured.
@@ -339,7 +339,7 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Explains why no static output feedback stabilises the plant. The list is empty if no reason is known.
+    """Explains why no static output feedback stabilises the plant. The returned list is empty if no such reason is known.
 
     The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and it multiplies their
     product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for its differences, in which z = 1 corresponds to 0.

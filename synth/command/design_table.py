@@ -51,10 +51,10 @@ class Designs:
     Attributes:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
-        limit: lower bound on the norm for all controllers, because it does not depend on the control force.
+        limit: part of the norm that no control force can change, which is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
-        flat: allowed change of the state-feedback gain on each state; see `_flatness`.
-        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if it is not defined.
+        flat: changes of the state-feedback gain on each state that hardly increase gamma; see `_flatness`.
+        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if no expected ride is defined.
         expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
         without: norm without control; infinite if the vehicle is not damped.
@@ -106,7 +106,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 
 def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> Designs:
-    """Designs or checks the controllers, and computes everything that the options request."""
+    """Designs or checks the controllers, and computes all results that the options request."""
     stages = ["saved claims"] if options.check else [f"controller {name}" for name in names]
     designer, stage = Designer(vehicle), Stages(*stages, FREE)
     if options.check:
@@ -211,12 +211,13 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
 
-    If the table contains a state feedback, its gain is used; otherwise a gain is designed. This gain is used even if its
-    central path ended early. The result is empty for a vehicle with integrals of measurements, because its state feedback is
-    not just a gain.
+    If the table contains a state feedback, its gain is used; otherwise a gain is designed. The gain is used even if the central
+    path of its design ended early. The result is empty for a vehicle with integrals of measurements, because the state feedback
+    then has states of its own.
 
     Returns:
-        For each state, the largest gain that acts on this state, and its allowed decrease and increase; None if unlimited.
+        For each state, the largest gain that acts on this state, and the allowed decrease and increase of this gain; None if
+        unlimited.
     """
     if designer.vehicle.integrals:
         return {}

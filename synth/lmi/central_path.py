@@ -6,16 +6,16 @@ is therefore defined as the limit, for mu -> 0, of the unique solution of the pr
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-The limit depends neither on a solver nor on state coordinates, input units or the time unit, because these only add constants
-to the logarithms. The gains published in the paper are this limit.
+The limit depends neither on a solver nor on state coordinates, input units or the time unit, because changing them only adds
+constants to the logarithms. The gains published in the paper are equal to this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
 tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =
 diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
-are changed again so that X = I and Y = 0, where the plant absorbs the current gain.
+are changed again so that X = I and Y = 0. The current gain then becomes part of the plant.
 
-For a discrete plant, log det of the larger matrix in `certificate.py` replaces the last two logarithms, because this matrix
-contains both constraints. As the sample period decreases, this path approaches that of the continuous plant.
+For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because this matrix
+contains all constraints. As the sample period decreases, this path approaches the path of the continuous plant.
 """
 
 import contextlib
@@ -75,7 +75,7 @@ class CentralPoint:
         X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
         eta: value gamma^-2 of the point. The optimal eta is larger by at most (2 n + d) mu.
-        mu: path parameter of this point, divided by eta.
+        mu: path parameter mu of this point, divided by eta.
         proof: an X that proves the bound, if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
     """
@@ -243,8 +243,8 @@ class PathPoint:
         """Finds a strictly feasible point.
 
         Feasible points exist if and only if He(A X + B Y) < 0, where He(M) = M + M', has a solution with the structure (12). If
-        such a pair is scaled down enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A
-        X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
+        this pair (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore
+        minimises s subject to He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
 
         Raises:
             NoSolutionError: there is no feasible point, up to rounding.
@@ -422,7 +422,7 @@ class PathPoint:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns the gain at the current point in the initial coordinates:
+        """Returns the gain at the current point, expressed in the initial coordinates:
 
         Y_R X_R^-1 plus the gain that the plant has absorbed so far.
         """

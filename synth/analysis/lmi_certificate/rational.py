@@ -33,7 +33,7 @@ def decimal(value: float) -> Fraction:
 
 
 def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
-    """Returns a number rounded to `count` significant digits: down, or in a `direction` of the module `decimal`."""
+    """Returns a number rounded to `count` significant digits, by default down; `direction` is a `decimal` rounding mode."""
     return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
