@@ -23,14 +23,14 @@ MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative gaps between bound and norm, tried
 # if the norm is nearly zero, these bounds are tried; they are relative to a gain that is estimated from the size of the
 # matrices
 SMALL = (1e-9, 1e-6, 1e-3)
-# noise power that is added to Bw Bw', as a fraction of the margin; it is small, but larger than rounding errors
+# noise power that is added to Bw Bw', as a fraction of the gap between bound and norm; small, but larger than rounding errors
 ADDED_NOISE = (1e-1, 1e-3, 1e-6)
 # power of the noise that is added to every state so that X > 0, relative to the power of the disturbance
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)
 # larger relative gaps between bound and norm, tried if rounding prevents a proof with a smaller gap, for example if large
 # states cancel in z
 LOOSE = (1.0, 10.0, 100.0)
-# power of the noise that is added to the states if a margin of `LOOSE` is tried, relative to the power of z. States that are
+# power of the noise that is added to the states if a gap of `LOOSE` is tried, relative to the power of z. States that are
 # less observable in z receive more noise
 LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)
 # a state whose observability, relative to the most observable state, is smaller than this counts as unobservable
@@ -51,7 +51,7 @@ def certify_tightly(
     Args:
         plant: plant with n states and m inputs.
         G: gain from the measurements, as in (6) of the paper, or a state gain of shape (m, n).
-        lower_bound: lower bound on the norm for all controllers of the same type as G.
+        lower_bound: lower bound on the norm for all controllers with the same measurements as G.
         plant_without_law: plant without the states of the controller; see `certify`.
     """
     plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)

@@ -72,8 +72,8 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
         X: symmetric matrix, shape (n, n).
         Y: matrix of shape (m, n).
         eta: gamma^-2.
-        step: sample period of a plant in differences [s]; 0 for a continuous plant. If the step is not 0, the result has n more
-            rows and n more columns.
+        step: sample period of a plant that is written in differences (`Plant.differences`) [s]; 0 for a continuous plant. If
+            the step is not 0, the result has n more rows and n more columns.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -128,8 +128,8 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
     return product(gain, rows), of_gain * of_rows
 
 
-# a warning appears if the fastest pole of the loop exceeds this multiple of the plant's speed, because the actuators must then
-# be unusually fast
+# a warning is printed if the fastest pole of the loop exceeds this multiple of the plant's speed, because the loop then needs
+# unusually fast actuators
 FASTEST = 100.0
 # slowest useful decay rate, as a multiple of the plant's speed; if the plant moves within 1 s, such a decay takes 100 days
 SLOWEST = 1e-7
@@ -206,7 +206,7 @@ class Certificate(ShownResult):
             all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
             (`units.own_units`).
         norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
-        below: lower bound on the norm for all controllers of the same type, with its proof; None if not requested.
+        below: lower bound on the norm for all controllers with the same measurements, with its proof; None if not requested.
     """
 
     public_name = "a certificate, such as synth.certify returns"
@@ -248,7 +248,7 @@ class Certificate(ShownResult):
 
     @property
     def lower_bound(self) -> float | None:
-        """Lower bound on the norm for controllers of the same type; None if it was not requested, or if only 0 is proved."""
+        """Lower bound on the norm for all controllers with the same measurements; None without a bound above 0."""
         return (self.below.gamma or None) if self.below is not None else None
 
     @property
@@ -362,7 +362,7 @@ def certify(
         G: gain from the measurements, as in (6) of the paper, used without rounding; or a state gain of shape (m, n).
         X: symmetric matrix of (20), shape (n, n).
         eta: gamma^-2 of (20), required if X is given.
-        lower_bound: lower bound on the norm for all controllers of the same type as G.
+        lower_bound: lower bound on the norm for all controllers with the same measurements as G.
         plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of this
             plant. The `weights` of this plant are the number of states that belong to filters. Default: `plant`.
 

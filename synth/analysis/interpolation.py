@@ -47,8 +47,8 @@ STEPS = 3  # number of Newton steps that improve the approximation of a zero
 # factor by which the rounding error of a real sum of products is multiplied, so that the error bound also covers complex
 # products and matrix norms
 SAFE = 4.0
-# Relative amounts by which a bound is reduced, below the best bound in floating point, before it is proved. This leaves room
-# for the errors of the enclosures
+# Relative amounts by which the best floating-point bound is reduced before a proof is tried, in this order. The reduction
+# leaves room for the errors of the enclosures
 SHORT = (1e-9, 1e-6, 1e-3)
 TINY = 1e-60  # smallest gamma that the search tries; the largest is 1 / TINY
 SEED = 20261122
@@ -96,7 +96,7 @@ def zero_limit(
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    # The bound is computed again from these approximations alone, because a later check of the proof also starts from them.
+    # The bound is computed again from the approximate zeros only, because a later check of the proof has nothing else.
     near = best[1]
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 

@@ -31,8 +31,8 @@ from synth.plant.units import own_units
 PEAKS = 6  # number of local maxima from which the search is refined
 # a singular value of Gu below this multiple of the largest one counts as zero in the floating-point estimate
 NEGLIGIBLE = 1e-10
-AWAY = 1e-9  # a frequency that is a pole on the imaginary axis is moved away from the pole by this relative distance
-# factor that increases `AWAY` if the matrix is still singular at this distance, for example near a multiple pole
+AWAY = 1e-9  # a frequency that coincides with a pole on the imaginary axis is changed by this relative amount
+# factor by which `AWAY` is multiplied if the matrix is still singular, for example near a multiple pole
 FURTHER = 10.0
 ENOUGH = 1e-9  # an estimate is tried only if it exceeds the best proved bound by at least this relative amount
 UNCHANGED_NORM = (

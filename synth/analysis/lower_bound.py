@@ -64,7 +64,7 @@ class DualCertificate:
 
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """Lower bound on the norm for all controllers of one type, with its proof.
+    """Lower bound on the norm for all controllers with the same measurements, with its proof.
 
     Attributes:
         gamma: lower bound; 0 if nothing is proved.
@@ -252,7 +252,7 @@ def _enclose_factors(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dua
 
 @dataclass(frozen=True, eq=False)
 class CouplingMatrix:
-    """Product J2 J1' for two inequalities, or for their antistable parts.
+    """Product J2 J1' of the matrices J of two inequalities, or the corresponding product for their antistable parts.
 
     Attributes:
         whole, over: the product as integers and their denominator, shape (a2, a1); approximate if `error_bound` is not zero.

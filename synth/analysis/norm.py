@@ -38,7 +38,7 @@ ZOOMS = 6
 CLOSE_ZOOMS = 8  # number of tenfold refinements with twice the precision; the gain is then accurate to 1e-16
 WITHIN = 1e-4  # frequency step with which a parabola is fitted to a peak, relative to the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
-ALIKE = 1e-9  # the modal form may propose frequencies if its error is below this multiple of the largest gain
+ALIKE = 1e-9  # the modal form may be used to select frequencies if its error is below this multiple of the largest gain
 
 
 def largest_singular_values(T: Array) -> Array:

@@ -41,7 +41,7 @@ from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
 from synth.plant.state_space import StateSpace
 
-SHORT = 0.5  # largest norm of H times the short time; S22 then differs from I by at most 0.65, so it is invertible
+SHORT = 0.5  # largest norm of H times the short time; S22 then differs from I by at most 0.65 and is therefore invertible
 TERMS = 14  # number of terms in the series of S; the first omitted term is 0.5^15 / 15!, which is below 1e-16
 
 

@@ -27,7 +27,7 @@ from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
 FAR = 1e3  # a pole counts as off the axis if its distance from the axis exceeds this multiple of the first-order rounding error
-LARGE, SEVERAL = 64, 8  # numbers of states and of points above which a Schur form saves time
+LARGE, SEVERAL = 64, 8  # numbers of states and of tested points above which a Schur form saves time
 PART = 400  # largest number of rows in a part of the Schur form; the bound is too weak for larger parts
 
 
@@ -135,8 +135,8 @@ def sampled_growth(Phi: Array) -> float:
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
-    # Poles outside the unit circle are checked first. If one pole is outside by more than a rounding error, the hundreds of
-    # poles that a delay can add need no check.
+    # Poles outside the unit circle are checked first. If one pole is outside by more than a rounding error, the other poles,
+    # which can be hundreds with a delay, need no check.
     outside = size > 1
     on_circle = _on_circle(Phi, poles, conditions, outside)
     if np.any(outside & ~on_circle):
@@ -190,15 +190,16 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
-    """Returns a mask, shape (n,), of the eigenvalues selected by `asked` that are on the unit circle up to rounding."""
+    """Returns a mask, shape (n,): True for eigenvalues that `asked` selects and that are on the unit circle up to rounding."""
     distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
     return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask, shape (n,), of the eigenvalues of a balanced matrix that rounding could move to the given points."""
+    """Returns a mask, shape (n,): True for each eigenvalue of a balanced matrix that rounding could move to its point."""
     allowed = rounding(A)
-    # The condition number limits how far a pole can move, to first order. Poles that are much farther away are skipped.
+    # The condition number limits how far a pole can move, to first order. Poles that are much farther from their points are
+    # skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
     pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # conjugate points give the same result
     known = _nearly_singular(A, dict.fromkeys(pairs), allowed)

@@ -96,7 +96,7 @@ class SynthesisInequality:
 
     Attributes:
         J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
-        coordinates: indices of a states; the corresponding columns of J form a diagonal matrix.
+        coordinates: indices of those a states whose columns of J form a diagonal matrix.
         U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The inequality uses these matrices divided by
             `scale`; Q and b are also divided by `unit`.
         unit, scale: powers of two by which the matrices of integers are divided.

@@ -33,7 +33,7 @@ from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride
 # last stage of the progress display: computing the limit for all controllers and finding gains that are not unique
 FREE = "limits for every controller"
 MORE = "-v explains the columns and prints poles, notes and laws."
-# If one of these options is given, its results are printed instead of gains and rides
+# If one of these options is given, the results of this option are printed instead of gains and rides
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
 # allowed relative increase of gamma; `--json` shows how far each gain may change until gamma has increased by this amount
 FLAT = 1e-4
@@ -231,7 +231,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
-        if values[1:].any()  # False if the gain must not change at all
+        if values[1:].any()  # False if the gain on this state must not change at all
     }
 
 

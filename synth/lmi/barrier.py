@@ -24,8 +24,8 @@ from models.common.arrays import Array
 # Pair (F0, F) of arrays with shapes (k, k) and (N, k, k). The matrix F0 + sum_i p_i F_i must stay positive definite
 Block = tuple[Array, Array]
 
-# Newton's method with full steps converges quadratically if the Newton decrement is below this (Boyd, Vandenberghe, section
-# 9.6.4)
+# Newton's method with full steps converges quadratically if the Newton decrement is below this value (Boyd, Vandenberghe,
+# section 9.6.4)
 QUADRATIC = 0.25
 STEPS = 200  # largest number of Newton steps
 # Largest total number of rows for which all blocks are joined, to save calls. With more rows, only the blocks with one row are
@@ -276,7 +276,7 @@ def newton(
         step = -here.solve(half)
         length = 1.0 if decrement < QUADRATIC else here.lowest(float(c @ step), step)
         moved = barrier.at(p + length * step)
-        while moved is None and length > 1e-10:  # the step ends closer to the boundary than the rounding errors
+        while moved is None and length > 1e-10:  # the end of the step is outside, because of rounding errors near the boundary
             length /= 2
             moved = barrier.at(p + length * step)
         if moved is None:
@@ -317,10 +317,10 @@ def boundary(here: FactoredDerivatives, step: Array) -> float:
 
 FASTER = 8.0  # factor by which the weight of the last unknown grows from one point of the path to the next
 CENTRES = 24  # largest number of points that are computed on the path
-CENTRE_DECREMENT = 0.1  # a point counts as a point of the path if its Newton decrement is below this
+CENTRE_DECREMENT = 0.1  # a point counts as a point of the central path if its Newton decrement is below this
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step
-SURE = 1.1  # safety factor on the distance between the last unknown at a point of the path and its smallest possible value
+SURE = 1.1  # safety factor on the distance between the last unknown, at a point of the path, and its smallest possible value
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:

@@ -50,11 +50,11 @@ LIMIT = 1e-9
 CENTRE_DECREMENT = 1e-6
 # values of mu / eta for which points of the path are computed
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))
-FIRST = 1.0  # value of mu / eta at the first point, which is far from the optimum
+FIRST = 1.0  # value of mu / eta at the first point of the path, which is far from the optimum
 FAR = 1e5  # condition number of X above which new coordinates are chosen; directly after a change of coordinates, X = I
-# largest number of coordinate changes at one point; if X still grows after them, the central path has no point for this mu
+# largest number of coordinate changes at one point; if X still grows after these changes, the path has no point for this mu
 MOST_MOVES = 12
-DENSE = 200  # largest number of unknowns for which a dense basis is faster, because it needs fewer calls
+DENSE = 200  # largest number of unknowns for which a dense basis is faster, because computations then need fewer calls
 # Largest number of unknowns, for example for 62 states and one input. A path then takes half a minute. The time grows with the
 # cube of this number, and the memory with its square.
 MOST = 2000
@@ -144,14 +144,14 @@ def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralP
 
 
 def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
-    """Yields the points for a discrete plant in differences over a step [s], or for a continuous plant if the step is 0."""
+    """Yields the points for a plant in difference form with the period `step` [s], or a continuous plant if `step` is 0."""
     check_posed(plant.unmeasured)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = None
     if hides_stable_states(plant, np.hstack([Q, R]), step):
         part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
-    # X may grow without bound along unobservable states, so the path is computed for the other states only
+    # X may grow without bound along states that are unobservable in z, so the path is computed for the other states only
     if part is not None:
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
@@ -205,7 +205,7 @@ class PathPoint:
     """Current point of a central path that is being followed, and the coordinates in which this point is X = I and Y = 0."""
 
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
-        self.free = Q.shape[1]  # the number of rows is a = n - q
+        self.free = Q.shape[1]  # number a = n - q of columns of Q
         T = np.hstack([Q, R])
         # Inputs that have no effect stay zero, and linearly dependent inputs are combined.
         self.inputs = plant.independent_inputs()
@@ -315,7 +315,7 @@ class PathPoint:
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
-        if here is None:  # the starting point is infeasible only because of rounding
+        if here is None:  # only rounding can make the starting point infeasible
             raise DesignError(f"the central path could not be started: {BREAKS_OFF}")
         while True:
             p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRE_DECREMENT, self._far, here)

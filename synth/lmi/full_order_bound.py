@@ -93,7 +93,7 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
-    # None if y and its derivatives determine all of the states
+    # None if y and the derivatives of y determine all states
     other = observer if observer is not None and len(observer.J) else None
     if dual is not None:
         best = max(best, _unmeasured_disturbance_bound(plant, dual), key=_gamma)

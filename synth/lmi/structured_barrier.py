@@ -209,8 +209,7 @@ class StructuredBarrier:
         return self.weight * (Z[self.rows, self.columns] + self.twice * Z[columns, rows])
 
     def _rows(self, part: Constraint, U: Array, count: int) -> Array:
-        """Returns rows as in `barrier.Barrier.at`, for the pairs of columns of U with at least one of the first `count`
-        columns.
+        """Returns rows as in `barrier.Barrier.at`, for all pairs of columns of U that contain one of the first `count` columns.
 
         The result has one column per unknown, shape (.., N).
         """

@@ -63,7 +63,8 @@ class Basis:
         discrete plant.
         """
         n, m, k = self.n, self.m, self.system.shape[-2]
-        # The product [A B; C D] [X; Y] for every unknown gives the left columns of (24). Its transpose gives the upper rows.
+        # The product [A B; C D] [X; Y] for every unknown gives the left columns of (24). The transpose of this product gives
+        # the upper rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
         F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
         F[..., :k, :n] = left

@@ -22,8 +22,8 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 ROUNDING = 1e-15  # relative rounding error, after a few rotations, of an entry that should be zero
-# variance that is added to the unobservable states, relative to the mean variance; a disturbance may not reach all of
-# these states
+# variance that is added to the unobservable states, relative to the mean variance; without it, states that no disturbance
+# reaches would have the variance 0
 UNDRIVEN = 1e-6
 
 

@@ -30,7 +30,7 @@ NOISE = (0.3, 1e-1, 1e-3)  # noise powers that `bounding_x` adds, relative to th
 EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # fractions of this noise that act on every state in `bounding_x`, tried in this order
 # relative gaps between bound and norm, tried in this order if the user gives no bound
 ABOVE = (1e-6, 1e-4, 1e-2, 0.1)
-# if the user gives no decay rate, rates below the decay rate of the slowest pole by these relative amounts are tried
+# relative amounts by which the tried rates are below the decay rate of the slowest pole, if the user gives no rate
 SLOWER = (1e-3, 1e-2, 0.1)
 
 

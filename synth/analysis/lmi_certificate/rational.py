@@ -43,7 +43,7 @@ def exact(matrix: Array) -> Matrix:
 
 
 def exact_loop(plant: Plant, K: Array) -> ExactLoop:
-    """Returns the loop u = K y of a plant in rational arithmetic, as the checker computes it.
+    """Returns the loop u = K y of a plant in rational arithmetic, as `check_certificate.py` computes it.
 
     Raises:
         ZeroDivisionError: the algebraic loop through the measurements has no solution.
