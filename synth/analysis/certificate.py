@@ -2,8 +2,8 @@
 
 Certificates are computed with numpy alone, without the solver that found the gains.
 
-The lemma is LMI (20) of the paper for a given closed loop, and LMI (21) for a design. With a feedthrough Dw from w to z (zero
-in the paper), the same Schur complement gives
+For a closed loop, the lemma is LMI (20) of the paper; for a design, which determines the gain, the lemma is LMI (21). With a
+feedthrough Dw from w to z (zero in the paper), the same Schur complement gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
@@ -202,8 +202,8 @@ class Certificate(ShownResult):
         norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
         proof: proof of an upper bound on the norm; None if there is no bound.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
-        moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of its fastest pole. If
-            all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
+        moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of the fastest pole of the
+            plant. If all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
             (`units.own_units`).
         norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
         below: lower bound on the norm for all controllers with the same measurements, with its proof; None if not requested.

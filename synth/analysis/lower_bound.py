@@ -20,9 +20,9 @@ controller is dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 
 U') - eta b b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
 
 **The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. The bound
-is valid for any values of these factors. Then e, t, f and the entries of V are computed in integers from the numbers of the
-plant, without a tolerance. Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and
-a proved bound on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
+is valid for any values of these factors. Then e, t, f and the entries of V are computed in integers from the entries of the
+plant's matrices, without a tolerance. Only the definiteness of V is checked in floats. This check uses entries that were
+rounded once, and a proved bound on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass

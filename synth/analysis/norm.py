@@ -6,9 +6,9 @@
 - `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each computed value is a
   gain of the transfer function, so the result of the sweep never exceeds the norm.
 
-`hinf_norm` uses both methods and returns their difference. The methods find the peak of the gain on the imaginary axis (the
-L-infinity norm), or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on
-the axis.
+`hinf_norm` uses both methods, and also returns the difference between their results. The methods find the peak of the gain on
+the imaginary axis (the L-infinity norm), or on an interval of this axis. This peak also exists for unstable systems; it is
+infinite if a pole lies on the axis.
 
 Both methods evaluate the same transfer function. A modal form of the system, which is cheap to evaluate, is used only to select
 frequencies. The returned gains are computed without the modal form, by solving a linear system of equations.
@@ -403,7 +403,7 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(system: Plant, level: float) -> Array:
-    """Returns the imaginary parts >= 0 of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
+    """Returns the nonnegative imaginary parts of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
 
     The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
     equals the level.
@@ -441,7 +441,7 @@ def level_crossings(system: Plant, level: float) -> Array:
             eigenvalues = linalg.eigvals(pencil, dynamic)
         eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
     proposed = np.imag(eigenvalues)
-    # The eigenvalues are conjugate pairs, so the positive imaginary parts are sufficient
+    # The eigenvalues form conjugate pairs, so the positive imaginary parts are sufficient
     return np.append(0.0, np.sort(proposed[proposed > 0]))
 
 

@@ -120,7 +120,7 @@ class Nullspace:
         self.free = [j for j in range(N) if j not in taken]
 
     def complete(self, values: Array) -> Array:
-        """Returns the solution Phi for given free rows, up to a common factor.
+        """Returns the solution Phi that has the free rows `values`, up to a common factor.
 
         Args:
             values: free rows of Phi, integers, shape (len(free), k).

@@ -384,7 +384,7 @@ class SampledDataProblem:
             that acts just before a sample.
         pieces: parts of the sample period with constant forces; there are two parts if the delay includes a fraction of a
             period.
-        rms: rms noise of each measurement, in its unit, shape (q,); None without noise.
+        rms: rms noise of each measurement, in the unit of the measurement, shape (q,); None without noise.
     """
 
     plant: Plant

@@ -107,8 +107,8 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses the root without loss
     of digits in any column.
 
-    A polynomial is given by its coefficients in a basis of Legendre polynomials of energy 1. Only the first n states have
-    dynamics; the other states are constant.
+    Each polynomial is represented by its coefficients in a basis of Legendre polynomials of energy 1. Only the first n states
+    have dynamics; the other states are constant.
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)

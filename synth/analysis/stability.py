@@ -343,8 +343,9 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
     """Explains why no static output feedback stabilises the plant. The returned list is empty if no such reason is known.
 
     The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and it multiplies their
-    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for its differences, in which z = 1 corresponds to 0.
-    The sum does not include decaying poles that no gain can change, such as the poles of a filter in a weight.
+    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for the poles of `Plant.differences`, in which the
+    pole z = 1 becomes 0. The sum does not include decaying poles that no gain can change, such as the poles of a filter in a
+    weight.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:

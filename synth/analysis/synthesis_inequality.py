@@ -148,7 +148,7 @@ class SynthesisInequality:
 def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
     """Returns J_other J_one' as integers, shape (a_other, a_one), and their denominator.
 
-    Each J is scaled so that it is the identity in the coordinates of its inequality.
+    The rows of each J are scaled so that the columns `coordinates` of J form the identity matrix.
     """
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     denominator = math.lcm(*columns) * math.lcm(*rows)

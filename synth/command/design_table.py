@@ -211,9 +211,9 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
 
-    If the table contains a state feedback, its gain is used; otherwise a gain is designed. The gain is used even if the central
-    path of its design ended early. The result is empty for a vehicle with integrals of measurements, because the state feedback
-    then has states of its own.
+    If the table contains a state feedback, its gain is used; otherwise a state feedback is designed. The gain is used even if
+    the central path of its design ended early. The result is empty for a vehicle with integrals of measurements, because the
+    state feedback then has states of its own.
 
     Returns:
         For each state, the largest gain that acts on this state, and the allowed decrease and increase of this gain; None if
@@ -256,7 +256,7 @@ def _draw_responses(designs: Designs, path: Path) -> Path | None:
 
 
 def _expected_ride(designs: Designs) -> dict[str, Any]:
-    """Returns the expected ride of the passive vehicle, and the road and speed for which it holds, for JSON."""
+    """Returns, as JSON, the expected ride of the passive vehicle, and the road class and the speed for which it is computed."""
     ride: dict[str, Any] = {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
     ride |= {"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {}
     return ride | ({"points": designs.expected_rides} if designs.expected_rides else {})

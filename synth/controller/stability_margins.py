@@ -40,8 +40,8 @@ FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
 # are correct
 SAME = 1e-6
 ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; the numbers are odd, so that pi is one of the angles
-# Largest number of states for which the quadratic eigenvalue problem is solved. With more states, its matrix has over 500 rows,
-# and searching a grid is faster
+# Largest number of states for which the quadratic eigenvalue problem is solved. With more states, the matrix of this problem
+# has over 500 rows, and searching a grid is faster
 MOST_QUADRATIC = 18
 
 

@@ -28,8 +28,8 @@ Block = tuple[Array, Array]
 # section 9.6.4)
 QUADRATIC = 0.25
 STEPS = 200  # largest number of Newton steps
-# Largest total number of rows for which all blocks are joined, to save calls. With more rows, only the blocks with one row are
-# joined
+# Largest total number of rows with which all blocks are joined into one block, to save calls of LAPACK. With more rows, only
+# the blocks with one row are joined
 TOGETHER = 24
 PANEL = 64  # number of columns that the QR decomposition processes together
 
@@ -133,8 +133,8 @@ class FactoredDerivatives(ABC):
     Attributes:
         trace: gradient, shape (N,).
         scale: diagonal of S, shape (N,).
-        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. Entries below its diagonal
-            are arbitrary.
+        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. The entries of `triangle`
+            below the diagonal are arbitrary.
         logarithm: term with the logarithm of the last unknown; None if the barrier does not contain this term.
     """
 

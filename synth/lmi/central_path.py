@@ -56,7 +56,7 @@ FAR = 1e5  # condition number of X above which new coordinates are chosen; direc
 MOST_MOVES = 12
 DENSE = 200  # largest number of unknowns for which a dense basis is faster, because computations then need fewer calls
 # Largest number of unknowns, for example for 62 states and one input. A path then takes half a minute. The time grows with the
-# cube of this number, and the memory with its square.
+# cube of the number of unknowns, and the memory with its square.
 MOST = 2000
 MOST_BORDERED = 600  # largest number of unknowns for a discrete plant; its matrices are larger, and they are treated as dense
 LARGEST_Y = 10.0  # upper bound on |Y| in the search for a feasible point
@@ -116,7 +116,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q), such that [Q R] is regular.
-        mu: parameter of the path at its end, relative to eta. The default is close to the limit; a larger value ends farther
+        mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends farther
             from the optimum.
 
     Returns:
@@ -126,7 +126,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
         InputError: no disturbance acts on the plant, or no signal is weighted.
         NoSolutionError: there is no feasible point with eta > 0.
         TooLargeError: the problem has more than MOST unknowns.
-        DesignError: Newton's method failed before it reached mu.
+        DesignError: Newton's method failed before mu / eta reached the value `mu`.
     """
     return list(along_path(plant, Q, R, mu))
 
@@ -282,7 +282,7 @@ class PathPoint:
         self._move_to(X, Y)
 
     def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
-        """Scales a pair with He(A X + B Y) < 0 so that it satisfies (24).
+        """Scales a pair (X, Y) with He(A X + B Y) < 0 so that it satisfies (24).
 
         Returns:
             The scaled X and Y, and the largest eta that (24) allows for them.

@@ -49,15 +49,15 @@ def find_lower_bound(
     beyond_control: LowerBound | None = None,
     Dyw: Array | None = None,
 ) -> LowerBound:
-    """Returns the largest lower bound for all controllers that is proved by a dual solution, an invariant point or zeros.
+    """Returns the largest lower bound on the norm, for all controllers, that dual solutions, an invariant point or zeros prove.
 
     Args:
         plant: plant with n states and m inputs.
         Cy: matrix of the measurements y = C_y x + Dyw w, shape (q, n). The bound holds for output feedback of any order from y.
             Default: the measurements of the plant. If the plant has no measurements either, the bound is for state feedback.
             The bound for state feedback also holds for output feedback, but the bound for output feedback may be higher.
-        path: points of the central path of `state_feedback` for this plant, if they are known.
-        beyond_control: bound of `bound_beyond_control`, if it is known.
+        path: points of the central path of `state_feedback` for this plant; empty if not computed yet.
+        beyond_control: bound that `bound_beyond_control` returns; None if not computed yet.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
@@ -288,7 +288,7 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 
 
 class _ProjectedLmi:
-    """One of the two inequalities, with its current X = T T'. In the coordinates of T, X is the identity."""
+    """One of the two inequalities, with its current solution X = T T'. In the coordinates of T, X is the identity."""
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable
@@ -303,7 +303,7 @@ class _ProjectedLmi:
         self.rows, self.columns = np.triu_indices(len(X))
 
     def start(self, last: float) -> Array:
-        """Returns the vector of unknowns for X = I and a given last unknown."""
+        """Returns the vector of unknowns in which X = I and the last unknown is `last`."""
         return np.append((self.rows == self.columns).astype(float), last)
 
     def feasible_eta(self) -> float:

@@ -134,7 +134,7 @@ def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
 
 
 def _normal_rows(side: SynthesisInequality) -> Array:
-    """Returns J, scaled so that it is the identity in the coordinates of the inequality."""
+    """Returns J with its rows scaled so that the columns `coordinates` of J form the identity matrix."""
     return np.array([[Fraction(x, row[at]) for x in row] for row, at in zip(side.J, side.coordinates, strict=True)], dtype=object)
 
 

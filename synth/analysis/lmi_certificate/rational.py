@@ -23,7 +23,7 @@ def rational(value: float | Fraction) -> str:
 
 
 def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
-    """Returns a matrix of floats or rational numbers as rows of exact texts."""
+    """Returns a matrix of floats or rational numbers as rows of texts, each of which gives an entry exactly."""
     return [[rational(entry) for entry in row] for row in matrix]
 
 

@@ -20,8 +20,8 @@ from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
 from synth.plant.numerics import DesignError
 
 GROWTH = 5.0  # largest gain entry if the user gives no limit, as a multiple of the largest entry of the first starting gain
-# At an end of the trade-off, the norm of the end's axis may exceed its smallest value by this relative amount, because this may
-# reduce the other norms
+# At an end of the trade-off, the norm of the end's axis may exceed its smallest value by this relative amount. The other norms
+# may then be smaller
 NEARLY = 1e-3
 TIGHTER = 1e-7  # relative amount by which the limit on a norm is tightened, to allow for rounding
 SETTLED_STEP = 1e-7  # a descent ends if the predicted relative decrease is smaller than this
