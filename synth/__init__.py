@@ -1,6 +1,6 @@
 """Controller design for any linear plant by linear matrix inequalities (LMIs), with a proved certificate for every design.
 
-Public names. All units are SI. Each name is imported when it is first used:
+Public names. All units are SI. Each of the following names is imported when it is first used:
 
 - Vehicle files: `design_controllers` designs the controllers of a file. See also `Designer` and `Controller`.
 - Plants: `GeneralizedPlant` (continuous, or discrete if `dt` is given) and `Feedback` (a gain and its measurements).
@@ -16,7 +16,8 @@ Public names. All units are SI. Each name is imported when it is first used:
 - Errors: `DesignError` and `InfeasibleError`. A design raises an error if it finds no controller.
 
 Start reading at `synth/vehicle/designer.py` for vehicles, and at `synth/design/feedback.py` for other plants. Only the package
-`synth/vehicle` and packages above it use vehicles. Names that are not in this list may be moved or renamed without notice.
+`synth/vehicle`, and packages that build on it, use vehicles. Names that are not in this list may be moved or renamed without
+notice.
 """
 
 import sys

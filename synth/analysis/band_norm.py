@@ -1,14 +1,15 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
 The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
-result lies between two levels. At some frequency in the band, the gain reaches the lower level. The upper level is slightly
-higher, and the gain exceeds the upper level nowhere in the band. To check the upper level, the imaginary part of every
-eigenvalue of the Hamiltonian matrix is treated as a possible crossing, regardless of its real part. Between two neighbouring
-crossings, or between a crossing and an edge of the band, the gain is above the level either everywhere or nowhere.
+result is a pair of gains, called levels, that enclose the norm. At some frequency in the band, the gain reaches the lower
+level. The upper level is slightly higher, and the gain exceeds the upper level nowhere in the band. To check the upper level,
+the imaginary part of every eigenvalue of the Hamiltonian matrix is treated as a possible crossing, regardless of its real part.
+Between two neighbouring crossings, or between a crossing and an edge of the band, the gain is above the level either everywhere
+or nowhere.
 
 **A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
-the largest amplification of a sinusoid in the band. An unstable loop also has a frequency response, but its response to a
-sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an amplification.
+the largest amplification of a sinusoid in the band. An unstable loop also has a frequency response, but the response of this
+loop to a sinusoid never reaches a steady state. The norm of an unstable loop is therefore not an amplification.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ class BandNorm:
 
     Attributes:
         value: largest gain in the band; infinite if a pole lies on the imaginary axis within the band.
-        peak_frequency: frequency in the band at which the gain has this value [rad/s]. The frequency may be an edge of the
+        peak_frequency: frequency in the band at which the gain is `value` [rad/s]. The frequency may be an edge of the
             band.
         level: upper bound on the gain in the band, slightly above `value`.
         low: lower edge of the band [rad/s].

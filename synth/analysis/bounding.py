@@ -23,14 +23,14 @@ MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative gaps between bound and norm, tried
 # if the norm is nearly zero, these bounds are tried; they are relative to a gain that is estimated from the size of the
 # matrices
 SMALL = (1e-9, 1e-6, 1e-3)
-# noise power that is added to Bw Bw', as a fraction of the margin; it is small, but larger than rounding errors
+# noise power that is added to Bw Bw', as a fraction of the gap between bound and norm; small, but larger than rounding errors
 ADDED_NOISE = (1e-1, 1e-3, 1e-6)
 # power of the noise that is added to every state so that X > 0, relative to the power of the disturbance
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)
 # larger relative gaps between bound and norm, tried if rounding prevents a proof with a smaller gap, for example if large
 # states cancel in z
 LOOSE = (1.0, 10.0, 100.0)
-# power of the noise that is added to the states if a margin of `LOOSE` is tried, relative to the power of z. States that are
+# power of the noise that is added to the states if a gap of `LOOSE` is tried, relative to the power of z. States that are
 # less observable in z receive more noise
 LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)
 # a state whose observability, relative to the most observable state, is smaller than this counts as unobservable
@@ -51,8 +51,8 @@ def certify_tightly(
     Args:
         plant: plant with n states and m inputs.
         G: gain from the measurements, as in (6) of the paper, or a state gain of shape (m, n).
-        lower_bound: lower bound on the norm for all controllers of the same type as G.
-        plant_without_law: plant without the states of the controller, as in `certify`.
+        lower_bound: lower bound on the norm for all controllers with the same measurements as G.
+        plant_without_law: plant without the states of the controller; see `certify`.
     """
     plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)
     if not plain.stable or not np.isfinite(plain.norm.value):
@@ -87,16 +87,16 @@ def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" =
 def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
     """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
-    X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur complement of
-    (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the covariance of a small
-    noise. The equation is solved in coordinates in which this noise gives the states the covariance I. The accuracy therefore
-    does not depend on the units of the states.
+    The matrix X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur
+    complement of (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times the
+    covariance of a small noise. The equation is solved in coordinates in which this noise drives the states to the covariance
+    I. The accuracy therefore does not depend on the units of the states.
 
     Args:
         loop: stable loop in continuous time.
         gamma: bound, larger than the norm.
         more: factor that multiplies the noise; it should be small compared with the relative gap between gamma and the norm.
-        everywhere: fraction of the noise that acts on every state, including states that are not controllable from w.
+        everywhere: relative power of the noise that acts on every state, including states that are not controllable from w.
         least_seen: True to add more of this noise in directions that are less observable in z.
 
     Raises:

@@ -2,8 +2,8 @@
 
 Certificates are computed with numpy alone, without the solver that found the gains.
 
-The lemma is LMI (20) of the paper for a given closed loop, and LMI (21) for a design. With a feedthrough Dw from w to z (zero
-in the paper), the same Schur complement gives
+For a closed loop, the lemma is LMI (20) of the paper; for a design, which determines the gain, the lemma is LMI (21). With a
+feedthrough Dw from w to z (zero in the paper), the same Schur complement gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
@@ -15,9 +15,9 @@ For a discrete closed loop, the inequality is
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix above. The plant is
-written in differences over a step T (`Plant.differences`), and X T replaces X. The larger matrix is then the continuous matrix
-with additional rows and columns:
+which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is the matrix above. For this
+matrix, the plant is written in differences over the sample period T (`Plant.differences`), and X T replaces X. The larger
+matrix is then the continuous matrix with additional rows and columns:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
@@ -26,8 +26,8 @@ with additional rows and columns:
 As T decreases, the entries of this matrix approach the entries of the continuous matrix. No digits are lost by cancellation,
 even at a sample rate of 1 kHz.
 
-The LMI is *proved* for the given numbers in exact arithmetic (`analysis/rigorous.py`). This proves that the loop A + B G is
-stable and that its norm is below the bound. The norm itself is computed by two methods.
+The LMI is *proved* in exact arithmetic (`analysis/rigorous.py`), for matrices whose floats are taken as exact numbers. This
+proves that the loop A + B G is stable and that its norm is below the bound. The norm itself is computed by two methods.
 """
 
 from collections.abc import Callable
@@ -72,8 +72,8 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
         X: symmetric matrix, shape (n, n).
         Y: matrix of shape (m, n).
         eta: gamma^-2.
-        step: sample period of a plant in differences [s]; 0 for a continuous plant. With a step, the result has n more rows and
-            n more columns.
+        step: sample period of a plant that is written in differences (`Plant.differences`) [s]; 0 for a continuous plant. If
+            the step is not 0, the result has n more rows and n more columns.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -128,8 +128,8 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
     return product(gain, rows), of_gain * of_rows
 
 
-# a warning appears if the fastest pole of the loop exceeds this multiple of the plant's speed, because the actuators must then
-# be unusually fast
+# a warning is printed if the fastest pole of the loop exceeds this multiple of the plant's speed, because the loop then needs
+# unusually fast actuators
 FASTEST = 100.0
 # slowest useful decay rate, as a multiple of the plant's speed; if the plant moves within 1 s, such a decay takes 100 days
 SLOWEST = 1e-7
@@ -181,7 +181,7 @@ class LmiProof:
 
 
 def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
-    """Explains in words why an inequality is not proved."""
+    """Returns a text that explains why an inequality is not proved."""
     if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or the magnitude of an entry exceeds 1e200"
     if definiteness.smallest <= 0:
@@ -193,7 +193,7 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(ShownResult):
-    """Results about a closed loop (stability, norm and bounds), with their proofs.
+    """Stability, norm and bounds of a closed loop, with the proofs of these results.
 
     Attributes:
         loop: closed loop to which all results apply.
@@ -202,11 +202,11 @@ class Certificate(ShownResult):
         norm: H-infinity norm, computed by two methods, and the frequency of the peak gain.
         proof: proof of an upper bound on the norm; None if there is no bound.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
-        moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of its fastest pole. If
-            all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
+        moves: True if the plant has poles other than 0; the speed of the plant is then the magnitude of the fastest pole of the
+            plant. If all poles are at 0, the speed is the rate at which motion and driving force have equal weight in z
             (`units.own_units`).
         norm_rounding: threshold below which a norm counts as zero; the results of the two methods then need not agree.
-        below: lower bound on the norm for all controllers of the same type, with its proof; None if not requested.
+        below: lower bound on the norm for all controllers with the same measurements, with its proof; None if not requested.
     """
 
     public_name = "a certificate, such as synth.certify returns"
@@ -248,7 +248,7 @@ class Certificate(ShownResult):
 
     @property
     def lower_bound(self) -> float | None:
-        """Lower bound on the norm for controllers of the same type; None if it was not requested, or if only 0 is proved."""
+        """Lower bound on the norm for all controllers with the same measurements; None without a bound above 0."""
         return (self.below.gamma or None) if self.below is not None else None
 
     @property
@@ -263,7 +263,7 @@ class Certificate(ShownResult):
 
     @property
     def gap(self) -> float | None:
-        """Relative gap between the norm and its lower bound; None if there is no lower bound, or if the norm is infinite."""
+        """Relative gap between the norm and the lower bound; None if there is no lower bound, or if the norm is infinite."""
         if self.lower_bound is None or not np.isfinite(self.norm.value):
             return None
         return self.norm.value / self.lower_bound - 1
@@ -280,7 +280,7 @@ class Certificate(ShownResult):
 
     @property
     def speed(self) -> float:
-        """Speed of the plant without control [rad/s], relative to which `speed_up` is given."""
+        """Speed of the plant without control [rad/s]; `speed_up` is relative to this speed."""
         return float(self.own.rates.max(initial=0.0)) / self.speed_up if self.speed_up else 0.0
 
     @property
@@ -314,7 +314,7 @@ class Certificate(ShownResult):
 
     @property
     def loop_failures(self) -> tuple[str, ...]:
-        """Descriptions of the false claims about the loop itself; the lower bound is not checked here."""
+        """Descriptions of the claims about the loop itself that do not hold; the lower bound is not checked here."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -362,13 +362,13 @@ def certify(
         G: gain from the measurements, as in (6) of the paper, used without rounding; or a state gain of shape (m, n).
         X: symmetric matrix of (20), shape (n, n).
         eta: gamma^-2 of (20), required if X is given.
-        lower_bound: lower bound on the norm for all controllers of the same type as G.
+        lower_bound: lower bound on the norm for all controllers with the same measurements as G.
         plant_without_law: plant without the states of the controller. `Certificate.speed_up` is relative to the speed of this
-            plant, and its `weights` determine which states belong to filters. Default: `plant`.
+            plant. The `weights` of this plant are the number of states that belong to filters. Default: `plant`.
 
     Returns:
-        Stability, H-infinity norm, and, if X and eta are given, the proof of the bound eta^-1/2, as a `Certificate`. Its
-        `failures` list the claims that do not hold.
+        Stability, H-infinity norm, and, if X and eta are given, the proof of the bound eta^-1/2, as a `Certificate`. The
+        `failures` of the certificate list the claims that do not hold.
 
     Raises:
         InputError: eta or X is out of range, or X has the wrong shape.
@@ -405,7 +405,8 @@ def certify(
 def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
     """Checks whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
-    The matrix of (20) (see the docstring of the module `certificate.py`) is computed from the given numbers without rounding.
+    The matrix of (20) (see the docstring of the module `certificate.py`) is computed from X, eta, the plant and the gain
+    without rounding.
 
     Args:
         plant: plant with n states and m inputs.
@@ -446,7 +447,7 @@ def bound_of(eta: float) -> float:
 
 
 def _norm_rounding(loop: Plant, at: float) -> float:
-    """Returns the gain at 0 and at `at` [rad/s] that rounding errors alone can produce if the true gain is zero."""
+    """Returns the largest gain that rounding errors can produce at 0 and at `at` [rad/s] if the true gain is zero."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
     points = points if loop.dt is None else np.exp(points * loop.dt)
@@ -469,7 +470,7 @@ class LaterBound:
         return self._prove()
 
     def __getattr__(self, name: str) -> Any:
-        """Returns an attribute of the proved bound."""
+        """Returns the attribute `name` of the proved bound."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._proved, name)

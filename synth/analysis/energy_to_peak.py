@@ -1,13 +1,13 @@
-"""Largest peak of a signal for a disturbance of given energy: the energy-to-peak norm (generalized H2 norm).
+"""Largest peak that a disturbance of limited energy can cause in a signal: the energy-to-peak norm (generalized H2 norm).
 
 The energy of w is the integral of |w|^2. Consider a signal s = c x of a stable loop x' = A x + Bw w with x(0) = 0. If w has the
 energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s comes
 arbitrarily close to this bound (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by the factor E^1/2. For a
-vector C x of signals, the length is at most the square root of the largest eigenvalue of C P C'. If w has a direct feedthrough
-to a signal, the peak of this signal is unbounded. A signal may contain control forces.
+vector C x of several signals, the length of this vector is at most the square root of the largest eigenvalue of C P C'. If w
+has a direct feedthrough to a signal, the peak of this signal is unbounded. The signals may also contain control forces.
 
 **The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, which is slightly larger than P. No peak then exceeds (c X
-c')^1/2. The inequality is LMI (20) without z, and `certificate.prove_bound` proves it in the same way. The value of c X c' is
+c')^1/2. This inequality is LMI (20) without z, and `certificate.prove_bound` proves it in the same way. The value of c X c' is
 computed exactly, in integers.
 """
 
@@ -109,7 +109,7 @@ def _gramian(A: Array, noise: Array) -> Array:
 
 
 def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -> tuple[Array, float]:
-    """Returns bounds on the peaks.
+    """Returns proved bounds on the peaks of the signals.
 
     Returns:
         (c X c')^1/2 of each signal, rounded up, and a proved bound on the square root of the largest eigenvalue of C X C'.

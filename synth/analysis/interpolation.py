@@ -1,9 +1,10 @@
 """Lower bounds on the norm from zeros in the closed right half plane, at which no controller affects some directions of z or w.
 
 Assume that M - s E = [A - s, B; C, D] loses rank at a point s with Re s > 0, and that [q; p]' (M - s E) = 0. In every stable
-loop, x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller. Transposing the plant gives a
-second condition. At a zero t from w to y = C_y x + Dyw w, some w = v leads to the same z = x for every controller of y,
-whatever its order. The transfer function T from w to z thus satisfies the interpolation conditions
+loop, the Laplace transforms of x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller.
+Transposing the plant gives a second condition. Let t be a zero from w to y = C_y x + Dyw w. At t, some w = v leads to the same
+output z = x, whatever controller uses the measurements y. The transfer function T from w to z thus satisfies the interpolation
+conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
@@ -14,7 +15,7 @@ A stable T with a norm of at most gamma can satisfy these conditions only if Pic
 
 Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983.
 
-If some inputs do not appear in z, M - s E can be singular at every s. The pairs are therefore computed as [q; p] = N
+If some inputs do not appear in z, M - s E can be singular at every s. The pairs [q; p] are therefore computed as [q; p] = N
 k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
 
 On the imaginary axis, a single interpolation condition already proves that the norm is at least |x_k| / |v_k|. On this axis,
@@ -22,10 +23,11 @@ the conditions of the plant come from its invariant points (see `invariant_point
 come from disturbances that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be close to a
-solution, and let R approximate the inverse of the derivative at (k, s). The residual includes its rounding error. An exact
-solution lies within the radius r around (k, s) if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r
-(`radius_of_solution`). If a zero has several vectors k, additional rows select the vector with the largest bound. A value of
-gamma is impossible if there is a vector v with v* P v < 0 for every Pick matrix P within the enclosures.
+solution of these equations, and let R approximate the inverse of the derivative at (k, s). The residual below includes a bound
+on its own rounding error. An exact solution lies within the radius r around (k, s) if |R residual| + |I - R derivative| r + |R|
+|U| r^2 / 2 <= r (`radius_of_solution`). If several vectors k belong to a zero, additional equations select the vector that
+gives the largest bound. No controller reaches a value of gamma if some vector v satisfies v* P v < 0 for every Pick matrix P
+within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -45,8 +47,8 @@ STEPS = 3  # number of Newton steps that improve the approximation of a zero
 # factor by which the rounding error of a real sum of products is multiplied, so that the error bound also covers complex
 # products and matrix norms
 SAFE = 4.0
-# Relative amounts by which a bound is reduced, below the best bound in floating point, before it is proved. This leaves room
-# for the errors of the enclosures
+# Relative amounts by which the best floating-point bound is reduced before a proof is tried, in this order. The reduction
+# leaves room for the errors of the enclosures
 SHORT = (1e-9, 1e-6, 1e-3)
 TINY = 1e-60  # smallest gamma that the search tries; the largest is 1 / TINY
 SEED = 20261122
@@ -64,7 +66,7 @@ class Node(NamedTuple):
         zero: approximate zero s [rad/s].
         p: approximate direction of length 1, shape (d,).
         y: approximate vector y, shape (r,).
-        radii: radii of the disks around s, p and y that contain the exact values.
+        radii: radii of the disks around `zero`, `p` and `y` that contain the exact values.
     """
 
     zero: complex
@@ -84,8 +86,8 @@ def zero_limit(
     Args:
         plant: plant for which the bound holds. If the plant has no measurements, all states count as measured, and only zeros
             from u to z are used.
-        inequalities: inequalities of the plant and of the transposed plant, if already computed. The second inequality is None
-            if the transposed plant is not used.
+        inequalities: inequalities of the plant and of the transposed plant; None if they are not computed yet. The second
+            inequality is None if the transposed plant is not used.
     """
     one, other = _sides(plant, inequalities)
     left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
@@ -94,7 +96,7 @@ def zero_limit(
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    # The bound is computed again from these approximations alone, because a later check of the proof also starts from them.
+    # The bound is computed again from the approximate zeros only, because a later check of the proof has nothing else.
     near = best[1]
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
@@ -112,7 +114,7 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
-    """Returns the bound that interpolation conditions prove together.
+    """Returns the lower bound on the norm that several interpolation conditions prove together; 0 if they prove nothing.
 
     A condition that is too close to an earlier condition is ignored.
     """
@@ -172,7 +174,7 @@ class _Pencil(NamedTuple):
     def zeros(self) -> list[complex]:
         """Returns approximations of the points in the right half plane at which Q - s U loses rank.
 
-        If U and Q are not square, the result may contain other points, too.
+        If U and Q are not square, the result may also contain points at which the rank is not lost.
         """
         k, a = self.U.shape
         if not 0 < a <= k:
@@ -187,7 +189,7 @@ class _Pencil(NamedTuple):
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """Returns the unit vector k with the largest |y| / |p| and k' (Q - s U) near 0, and rows of equations that select k."""
+        """Returns the unit vector k with the largest |y| / |p| and k' (Q - s U) near 0, and equations (rows) that select k."""
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
@@ -287,7 +289,7 @@ class _Pick:
         return low
 
     def excludes(self, gamma: float) -> bool:
-        """Returns True if no matrix within the error bounds is positive semidefinite for this gamma."""
+        """Returns True if no Pick matrix within the error bounds is positive semidefinite for this gamma."""
         entries = self.at(gamma)
         direction = np.linalg.eigh(entries)[1][:, 0]
         form, size = float(np.real(direction.conj() @ entries @ direction)), np.abs(direction)
@@ -304,9 +306,9 @@ def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
 
 
 def _quotient(dividend: tuple[complex, float], divisor: complex, one: Node, other: Node) -> tuple[complex, float]:
-    """Returns a quotient and a bound on its error. The divisor is a sum or difference of two zeros.
+    """Returns a quotient and a bound on the error of the quotient. The divisor is a sum or difference of two zeros.
 
-    The error is infinite if the divisor may be zero.
+    The bound is infinite if the divisor may be zero.
     """
     error = one.radii[0] + other.radii[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
     entry = dividend[0] / divisor

@@ -1,7 +1,8 @@
 """Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
 At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
-of this part is a lower bound. For a suspension, this norm peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
+of this part is a lower bound on the norm of every closed loop. For a suspension, this norm peaks at the invariant point of the
+wheel (Hedrick, Butsuen 1990).
 
 The frequency and the direction are first estimated in floats. The proof is a pair (q, p) with
 
@@ -11,7 +12,7 @@ The proof is exact: some entries of q and p are floats, and the other entries ar
 existence of a pair therefore does not depend on any tolerance, even at a resonance or near a zero of Gu.
 
 At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies.
-The reason is that a stabilising controller must also cancel the effect of w on this mode.
+The additional pairs exist because a stabilising controller must also cancel the effect of w on this mode.
 """
 
 import contextlib
@@ -30,8 +31,8 @@ from synth.plant.units import own_units
 PEAKS = 6  # number of local maxima from which the search is refined
 # a singular value of Gu below this multiple of the largest one counts as zero in the floating-point estimate
 NEGLIGIBLE = 1e-10
-AWAY = 1e-9  # a frequency that is a pole on the imaginary axis is moved away from the pole by this relative distance
-# factor that increases `AWAY` if the matrix is still singular at this distance, for example near a multiple pole
+AWAY = 1e-9  # a frequency that coincides with a pole on the imaginary axis is changed by this relative amount
+# factor by which `AWAY` is multiplied if the matrix is still singular, for example near a multiple pole
 FURTHER = 10.0
 ENOUGH = 1e-9  # an estimate is tried only if it exceeds the best proved bound by at least this relative amount
 UNCHANGED_NORM = (
@@ -42,7 +43,7 @@ UNCHANGED_NORM = (
 
 
 def invariant_limit(plant: Plant) -> tuple[float, float] | None:
-    """Returns the largest part of the gain that no controller can change, and its frequency [rad/s].
+    """Returns the largest part of the gain that no controller can change, and the frequency [rad/s] at which it occurs.
 
     The result is None if the control affects every direction of z.
     """
@@ -70,17 +71,17 @@ def invariant_limit(plant: Plant) -> tuple[float, float] | None:
 
 
 def limit_at(plant: Plant, omega: float) -> float:
-    """Returns a proved part of the gain at omega [rad/s] that no controller can change; 0 if nothing is proved."""
+    """Returns a proved lower bound on the gain at omega [rad/s] for all controllers; 0 if nothing is proved."""
     return proof_at(plant, omega)[0]
 
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
-    """Returns the norm of `limit_at` and the pair (q, p) that proves it.
+    """Returns the lower bound of `limit_at` and the pair (q, p) that proves this bound.
 
     Returns:
-        The norm, and a vector of integers of shape (2 (n + d),): the real parts of q and p, then their imaginary parts (see
-        `_equations`).
+        The lower bound, and a vector of integers of shape (2 (n + d),): the real parts of q and p, then their imaginary parts
+        (see `_equations`).
     """
     n, d = len(plant.A), len(plant.C)
     real, imaginary, from_w, unit = _equations(plant, omega)
@@ -117,9 +118,9 @@ def without_control(plant: Plant, omega: float) -> float:
 def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
-    The vector [q; p] is stored as a real vector: its real part, then its imaginary part. For a discrete plant, the point z = (1
-    + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). This point is exactly on the unit circle. The rows of the
-    states are multiplied by 1 - j t.
+    The complex vector [q; p] is stored as a real vector: first the real parts of all entries, then the imaginary parts. For a
+    discrete plant, the point z = (1 + j t) / (1 - j t) is used, with a float t = tan(omega dt / 2). This point is exactly on
+    the unit circle. The rows of the states are multiplied by 1 - j t.
 
     Returns:
         The real part and the imaginary part of M, up to a common factor, each of shape (n + d, n + m). The matrix of the
@@ -146,7 +147,7 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
 
 
 def limit_at_infinity(plant: Plant) -> float:
-    """Returns a proved lower bound on the norm at infinite frequency for all proper controllers of y = C_y x + Dyw w.
+    """Returns a proved lower bound on the gain at infinite frequency for all proper controllers that measure y = C_y x + Dyw w.
 
     The bound is the norm of Dw, restricted to disturbances without feedthrough to y, or to outputs without feedthrough from the
     control forces. The bound is 0 if nothing is proved.
@@ -155,7 +156,7 @@ def limit_at_infinity(plant: Plant) -> float:
 
 
 def _limit_beside(K: Array, direct: Array) -> float:
-    """Returns a proved norm of the matrix `direct` for the vectors v with K' v = 0 only; 0 if v = 0 is the only such vector."""
+    """Returns a proved lower bound on the norm of `direct`, restricted to v with K' v = 0; 0 if only v = 0 remains."""
     silent = Nullspace(integers(K)[0])
     if not silent.free or not direct.any():
         return 0.0
@@ -205,7 +206,7 @@ def _strongest(outputs: Array, effects: Array) -> Array:
 def _rates(plant: Plant) -> Array:
     """Returns the positive magnitudes of the plant's poles [rad/s].
 
-    If all poles are at 0, returns the plant's own rate (`own_units`).
+    If all poles are at 0, returns the rate of the plant that `own_units` computes.
 
     Rounding can move an n-fold pole at 0 by up to the n-th root of the rounding error.
     """
@@ -218,7 +219,7 @@ def _rates(plant: Plant) -> Array:
 
 
 def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
-    """Returns the part of Gw that is orthogonal to Gu at F frequencies `omega` [rad/s], complex, shape (F, d, r)."""
+    """Returns the part of Gw that is orthogonal to Gu, at each of F frequencies `omega` [rad/s], complex, shape (F, d, r)."""
     try:
         both = plant.unchecked(Bw=np.hstack([plant.Bw, plant.B]), Dw=np.hstack([plant.Dw, plant.D]))
         from_w, from_u = np.split(both.frequency_response(omega), [plant.Bw.shape[1]], axis=2)
@@ -231,7 +232,7 @@ def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
 
 
 def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
-    """Returns approximations of the best p and q at the frequency omega [rad/s], complex, shapes (d,) and (n,)."""
+    """Returns approximations of the p and q that give the largest bound at omega [rad/s], complex, shapes (d,) and (n,)."""
     where, there = plant, omega
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, mapped_frequency

@@ -1,13 +1,13 @@
 """Lower bounds on the norm for all controllers, proved by dual solutions in exact arithmetic.
 
-A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if X > 0 and S > 0 exist with [X I; I S] >=
-0. Here X solves the `SynthesisInequality` of the plant with eta = gamma^-2. S solves the inequality of the transposed plant
-    (Gahinet, Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
+A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if positive definite matrices X and S exist
+such that [X I; I S] is positive semidefinite. Here X solves the `SynthesisInequality` of the plant with eta = gamma^-2. S
+solves the inequality of the transposed plant (Gahinet, Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
 The dual variables are positive semidefinite matrices W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q), and V2 likewise.
-The sum of their products with the three inequalities is
+The sum of the products of W1, W2 and V with the three inequalities is
 
     (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
@@ -15,14 +15,14 @@ W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the larges
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
-The first entry is the bound for state feedback. No controller has a smaller norm than this bound, even if the controller is
-dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X U') - eta b
-b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
+The first entry is the square of the bound for state feedback. No controller reaches a norm below this bound, even if the
+controller is dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X
+U') - eta b b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
 
 **The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. The bound
-is valid for any values of these factors. Then e, t, f and the entries of V are computed in integers from the numbers of the
-plant, without a tolerance. Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and
-a proved bound on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
+is valid for any values of these factors. Then e, t, f and the entries of V are computed in integers from the entries of the
+plant's matrices, without a tolerance. Only the definiteness of V is checked in floats. This check uses entries that were
+rounded once, and a proved bound on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -50,7 +50,8 @@ DOWN = 1 - 2.0**-45
 
 @dataclass(frozen=True, eq=False)
 class DualCertificate:
-    """Strictly feasible point (X, eta) of a `SynthesisInequality`. The inverse of its matrix is the dual solution.
+    """Strictly feasible point (X, eta) of a `SynthesisInequality`. The inverse of the inequality's matrix at this point is the
+    dual solution.
 
     Attributes:
         X: matrix of shape (n, n); only J X J' is used.
@@ -63,12 +64,12 @@ class DualCertificate:
 
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """Lower bound on the norm for all controllers of one type, with its proof.
+    """Lower bound on the norm for all controllers with the same measurements, with its proof.
 
     Attributes:
         gamma: lower bound; 0 if nothing is proved.
         state: dual certificate for state feedback; None if an invariant point or zeros prove the bound.
-        observer: dual certificate of the transposed plant; None if the bound is the bound for state feedback.
+        observer: dual certificate of the transposed plant; None if the bound for state feedback is used.
         limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the bound is proved
             differently.
         zeros: zeros from u to z and from w to y [rad/s] with which `interpolation.limit_at_zeros` proves the bound; None if the
@@ -99,8 +100,8 @@ class SampledBound:
     Attributes:
         level: lower bound on the L2 gain.
         proof: lower bound on the norm of the discrete plant of this level.
-        inside: True if no such plant exists for the level. In this case, the gain within one period is at least `level` before
-            any force can respond.
+        inside: True if no equivalent discrete plant exists for the level. In this case, the gain within one period is at least
+            `level` before any force can respond.
     """
 
     level: float
@@ -153,7 +154,8 @@ class _Dual:
     """Numbers e and t and the matrix V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: numbers e and t of the solution, exact. For an antistable part, e is a lower bound, and t is an upper bound.
+        e, t: exact numbers e and t of the solution. For an antistable part, `e` is a lower bound on the exact number, and `t`
+            is an upper bound.
         V: V_T in floats; it is close to I on the central path.
         error_bound: bound on the error of each entry of V_T, same shape as V_T.
         T: matrix of floats, treated as exact, shape (a, a).
@@ -170,7 +172,8 @@ class _Dual:
 
 @np.errstate(all="ignore")  # a value that is infinite or NaN never counts as a proof
 def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
-    """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if they are not finite.
+    """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if one of these matrices is not
+    finite.
 
     Raises:
         ValueError: the shape of the certificate does not fit the plant.
@@ -193,7 +196,7 @@ def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tup
 
 @np.errstate(all="ignore")
 def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
-    """Returns the dual solution of a certificate; None if it proves nothing."""
+    """Returns the dual solution of a certificate; None if the dual solution proves no bound."""
     factors, part = dual_factors(side, certificate), side.antistable
     if factors is None:
         return None
@@ -249,7 +252,7 @@ def _enclose_factors(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dua
 
 @dataclass(frozen=True, eq=False)
 class CouplingMatrix:
-    """Product J2 J1' for two inequalities, or for their antistable parts.
+    """Product J2 J1' of the matrices J of two inequalities, or the corresponding product for their antistable parts.
 
     Attributes:
         whole, over: the product as integers and their denominator, shape (a2, a1); approximate if `error_bound` is not zero.
@@ -285,7 +288,7 @@ class CouplingMatrix:
 
 
 def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Fraction:
-    """Returns the number f of the best V12 for which V is proved positive definite; 0 if no such V12 is found."""
+    """Returns f for the best V12 with which V is proved positive definite; 0 if no such V12 is found."""
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))

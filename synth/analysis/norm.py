@@ -3,18 +3,19 @@
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
   level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, unless rounding changes the
   eigenvalues too much.
-- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each of its values is a
-  gain of the transfer function, so the result never exceeds the norm.
+- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each computed value is a
+  gain of the transfer function, so the result of the sweep never exceeds the norm.
 
-`hinf_norm` uses both methods and returns their difference. The methods find the peak on the imaginary axis (the L-infinity
-norm), or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on the axis.
+`hinf_norm` uses both methods, and also returns the difference between their results. The methods find the peak of the gain on
+the imaginary axis (the L-infinity norm), or on an interval of this axis. This peak also exists for unstable systems; it is
+infinite if a pole lies on the axis.
 
 Both methods evaluate the same transfer function. A modal form of the system, which is cheap to evaluate, is used only to select
 frequencies. The returned gains are computed without the modal form, by solving a linear system of equations.
 
 The rounding error of the gains is bounded to first order. The bound is large if a very large gain G causes both fast and slow
-poles of the loop A + B G. In this case, both methods refine their results with twice the precision, starting from the loop before
-rounding.
+poles of the loop A + B G. In this case, both methods refine their results with twice the precision. For this purpose, the sum A
++ B G is used unrounded.
 """
 
 from collections.abc import Callable
@@ -37,7 +38,7 @@ ZOOMS = 6
 CLOSE_ZOOMS = 8  # number of tenfold refinements with twice the precision; the gain is then accurate to 1e-16
 WITHIN = 1e-4  # frequency step with which a parabola is fitted to a peak, relative to the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
-ALIKE = 1e-9  # the modal form may propose frequencies if its error is below this multiple of the largest gain
+ALIKE = 1e-9  # the modal form may be used to select frequencies if its error is below this multiple of the largest gain
 
 
 def largest_singular_values(T: Array) -> Array:
@@ -56,8 +57,8 @@ def largest_singular_values(T: Array) -> Array:
 def highest(T: Array, above: float) -> tuple[float, int]:
     """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of its matrix.
 
-    Values up to `above` are ignored. If no value is larger, returns 0 and the index -1. Most matrices are excluded by their
-    Frobenius norm, which is cheap to compute.
+    Values up to `above` are ignored. If no value exceeds `above`, returns 0 and the index -1. Most matrices are excluded by
+    their Frobenius norm, which is cheap to compute.
     """
     squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
     among = np.flatnonzero(~(squares <= above * above))
@@ -78,11 +79,11 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the precision, and an estimate of the error.
 
     Args:
-        system: system from w to z, including its low-order digits `beyond`.
+        system: system from w to z, including `beyond`, the low-order digits of its matrices.
         omega: angular frequencies [rad/s], shape (F,).
 
     Returns:
-        T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
+        T, complex, shape (F, d, r), and the largest change of the entries of T in the last iteration, shape (F,).
     """
     n, Bw = len(system.A), system.Bw
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
@@ -119,7 +120,7 @@ class Gain:
         self.edges = np.array([low, high] if np.isfinite(high) else [low])
 
     def within(self, omega: Array) -> Array:
-        """Returns the frequencies [rad/s], each limited to the interval."""
+        """Returns the frequencies [rad/s], replacing each frequency outside the interval by the nearest end of the interval."""
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
@@ -171,9 +172,9 @@ class Gain:
         return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def grid_error(self, at: float) -> float:
-        """Returns the relative amount by which a peak may exceed the best gain found, to second order.
+        """Returns the relative amount by which the true peak may exceed the highest gain found, to second order.
 
-        Such a peak would lie between the best frequency and the next frequency that was tried.
+        The true peak would lie between the frequency of the highest gain and the next frequency that was tried.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -181,9 +182,9 @@ class Gain:
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns the same bound as `grid_error`, but computed with twice the precision.
+        """Returns the bound of `grid_error`, computed with twice the precision.
 
-        This method is used if rounding may have moved poles and misled the search.
+        This method is used if rounding may have moved the poles, so that the search may have missed a peak.
 
         Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
         """
@@ -210,7 +211,7 @@ class Gain:
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
-        """Returns the gain `best` and its frequency `at`, or the gain at infinity and infinity if that gain is higher.
+        """Returns the larger of the gain `best` and the gain at infinite frequency, and its frequency: `at` or infinity.
 
         Infinite frequency is considered only if the interval is unbounded.
         """
@@ -389,11 +390,11 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns frequencies at which the gain may exceed the level, and half their spacing, shapes (k,) [rad/s].
+    """Returns frequencies at which the gain may exceed the level, and search widths around them, shapes (k,) [rad/s].
 
-    The frequencies are the crossings of the level, the ends of the interval, and the midpoints between them. Between two
-    neighbouring crossings, the gain is above the level either everywhere or nowhere. Therefore, if the gain exceeds the level
-    anywhere, it does so at one of these frequencies.
+    The frequencies are the crossings of the level, the ends of the interval, and the midpoints between neighbouring
+    frequencies. Between two neighbouring crossings, the gain is above the level either everywhere or nowhere. Therefore, if the
+    gain exceeds the level anywhere, it does so at one of these frequencies.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -402,7 +403,7 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(system: Plant, level: float) -> Array:
-    """Returns the imaginary parts >= 0 of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
+    """Returns the nonnegative imaginary parts of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
 
     The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
     equals the level.
@@ -440,7 +441,7 @@ def level_crossings(system: Plant, level: float) -> Array:
             eigenvalues = linalg.eigvals(pencil, dynamic)
         eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
     proposed = np.imag(eigenvalues)
-    # The eigenvalues are conjugate pairs, so the positive imaginary parts are sufficient
+    # The eigenvalues form conjugate pairs, so the positive imaginary parts are sufficient
     return np.append(0.0, np.sort(proposed[proposed > 0]))
 
 

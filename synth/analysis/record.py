@@ -107,7 +107,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
 
 
 def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem") -> SampledBound:
-    """Returns the claimed lower bound of a sampled-data loop and the result of checking its proof; see `bound_record`.
+    """Returns the lower bound of a sampled-data loop that a record claims, and whether its proof holds; see `bound_record`.
 
     Raises:
         InputError: the proof is malformed.

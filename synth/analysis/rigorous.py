@@ -63,7 +63,8 @@ def span_all(rows: Array, step: Array) -> bool:
     """Returns True only if the rows of R, R S, R S^2, ... span the whole space, where R is `rows` and S is `step`.
 
     If R and S are the output matrix and the state matrix of a plant, the plant is then observable. The rank is computed modulo
-    a prime, and it never exceeds the true rank. The result True is therefore a proof, but False may be a coincidence.
+    a prime, and it never exceeds the true rank. The result True is therefore a proof, but the result False may be due to an
+    unlucky prime.
 
     Args:
         rows: matrix of integers, shape (d, n).
@@ -119,7 +120,7 @@ class Nullspace:
         self.free = [j for j in range(N) if j not in taken]
 
     def complete(self, values: Array) -> Array:
-        """Returns the solution Phi for given free rows, up to a common factor.
+        """Returns the solution Phi that has the free rows `values`, up to a common factor.
 
         Args:
             values: free rows of Phi, integers, shape (len(free), k).
@@ -187,7 +188,7 @@ class Definiteness:
 
     Attributes:
         smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive or an entry is out of range.
-        rounding: size that the smallest eigenvalue must exceed for a proof.
+        rounding: bound on the effect of rounding errors, which the smallest eigenvalue must exceed for a proof.
         proved: True if the matrix is proved positive definite despite rounding.
     """
 
@@ -224,7 +225,7 @@ def definiteness(M: Array) -> Definiteness:
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
-    """Returns True if all matrices of a stack are positive definite for all errors of their entries up to `lost`.
+    """Returns True if all matrices of a stack are proved positive definite, even if their entries have errors of up to `lost`.
 
     Args:
         M: V matrices, shape (V, k, k); only their symmetric parts are used.

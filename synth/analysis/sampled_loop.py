@@ -1,7 +1,7 @@
 """Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
-Over a period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant with the
-same number of states,
+Over a sample period of T seconds, z and w are functions of time. For a level gamma of the L2 gain, there is a discrete plant
+with the same number of states,
 
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
@@ -16,14 +16,14 @@ units of gamma, the matrices of the discrete plant are
 if S22 is invertible for all times in (0, T]. Otherwise, the gain within one period is at least gamma, before any force can
 respond to w.
 
-S itself grows without bound as the period grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time, which is
-then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
+The entries of S grow without bound as the period T grows. Therefore, Ad, Bd Bd' and Cd' Cd are first computed for a short time,
+which is then doubled repeatedly. For two consecutive intervals 1 and 2, the matrices of the combined interval are
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
-with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval is regular if and only if both intervals are regular and Bd1 Bd1'
-Cd2' Cd2 has no eigenvalue of 1 or more. No digits are lost by cancellation. The code computes Ad - I instead of Ad, because Ad
-- I is small at a fast sample rate.
+with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval has such matrices if and only if both intervals have them and Bd1
+Bd1' Cd2' Cd2 has no eigenvalue of 1 or more. No digits are lost by cancellation. The code computes the difference Ad - I
+instead of Ad, because this difference is small at a fast sample rate.
 """
 
 import math
@@ -41,13 +41,14 @@ from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
 from synth.plant.state_space import StateSpace
 
-SHORT = 0.5  # largest norm of H times the short time; S22 then differs from I by at most 0.65, so it is invertible
+SHORT = 0.5  # largest norm of H times the short time; S22 then differs from I by at most 0.65 and is therefore invertible
 TERMS = 14  # number of terms in the series of S; the first omitted term is 0.5^15 / 15!, which is below 1e-16
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """Discrete plant that is equivalent to a plant for one level of the L2 gain, with n plant states and k held inputs as states.
+    """Discrete plant that is equivalent to a continuous plant for one level of the L2 gain. Its states are the n plant states
+    and the k held inputs.
 
     Attributes:
         increment: Ad - I, for the state matrix Ad of the discrete plant, shape (n + k, n + k).
@@ -101,7 +102,7 @@ def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float
         plant: plant in continuous time with m inputs.
         pieces: duration [s] of each part of the period, and the matrix, shape (m, k), that selects the m acting inputs from the
             k held inputs.
-        gamma: level of the L2 gain for which the discrete plant is equivalent.
+        gamma: level of the L2 gain for which the discrete plant is equivalent to the continuous plant.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None
@@ -292,7 +293,7 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def input_selections(self) -> list[tuple[float, Array]]:
-        """Duration [s] of every part of the period, and the matrix that selects its acting inputs, shape (m, m pieces).
+        """Duration [s] of each of the p parts of the period, and the matrix that selects its acting inputs, shape (m, m p).
 
         Each part of the period has its own held inputs.
         """
@@ -315,7 +316,7 @@ class SampledLoop(CheckedFields):
 
     @cached_property
     def with_noise(self) -> tuple[Array, Array]:
-        """`K` and `A_register` with a column for each noise, shapes (m, n + k + j) and (k, n + k + j)."""
+        """`K` and `A_register`, each with an added column per noise signal, shapes (m, n + k + j) and (k, n + k + j)."""
         m = len(self.K)
         noise = np.zeros((m + len(self.A_register), 0)) if self.noise is None else self.noise
         return np.hstack([self.K, noise[:m]]), np.hstack([self.A_register, noise[m:]])
@@ -370,9 +371,9 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    The discrete plant of a level has the states of the plant, and states for previous forces that are still delayed or part of
-    a measurement. The latest force comes first. A static gain does not feed these states back. A controller that uses its own
-    previous output is a control law with states.
+    For a level of the L2 gain, the discrete plant has the plant's states, and also previous forces that are still delayed or
+    measured. The latest force comes first. A static gain feeds back only measurements, not the previous forces. A controller
+    that uses its own previous output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. If the noise is held over T seconds, its
     energy is T s^2 in units of w. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum
@@ -381,8 +382,9 @@ class SampledDataProblem:
     Attributes:
         plant: plant in continuous time with n states and q measurements. The Dyu of this plant is the effect on y of the force
             that acts just before a sample.
-        pieces: parts of the sample period; there are two parts if the delay includes a fraction of a period.
-        rms: rms noise of each measurement, in its unit, shape (q,); None without noise.
+        pieces: parts of the sample period with constant forces; there are two parts if the delay includes a fraction of a
+            period.
+        rms: rms noise of each measurement, in the unit of the measurement, shape (q,); None without noise.
     """
 
     plant: Plant
@@ -396,7 +398,7 @@ class SampledDataProblem:
 
     @property
     def before(self) -> int:
-        """Number of samples since the force that acts just before a sample was computed."""
+        """Age of the force that acts just before a sample: the number of samples since this force was computed."""
         return self.pieces[-1].delay_samples + 1
 
     @cached_property
@@ -415,7 +417,7 @@ class SampledDataProblem:
 
     @property
     def without_delay(self) -> "SampledDataProblem":
-        """The same problem, but without delay and without an effect of the forces on the measurements."""
+        """Copy of this problem without delay, and without an effect of the forces on the measurements."""
         return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
     @cached_property
@@ -426,19 +428,19 @@ class SampledDataProblem:
         return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
 
     def of(self, kept: Sequence[int]) -> "SampledDataProblem":
-        """Returns the same problem with only the measurements at the indices `kept`."""
+        """Returns this problem with only the measurements whose indices are in `kept`."""
         rms = None if self.rms is None else self.rms[kept]
         return replace(self, plant=self.plant.rows(kept), rms=rms)
 
     def loop(self, K: Array) -> SampledLoop:
-        """Returns the sampled-data loop of a static gain or a discrete law. `K` is the `law` of `SampledLoop.of_law`."""
+        """Returns the sampled-data loop of a static gain or discrete law `K`, which is the `law` of `SampledLoop.of_law`."""
         return SampledLoop.of_law(self.plant, K, self.pieces, self.noise)
 
     def at(self, gamma: float) -> Plant | None:
         """Returns the discrete plant of the level gamma; None if the gain within one period is already at least gamma.
 
-        The norm of a loop with this plant is below 1 if and only if the L2 gain is below gamma. The measurements of the plant
-        are `rows` of its states plus the noise.
+        The norm of a loop with this plant is below 1 if and only if the L2 gain is below gamma. The measurements of the
+        returned plant are `rows` times its states, plus the noise.
         """
         (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)

@@ -1,4 +1,4 @@
-"""Specifications of a controller, and the norm of a sampled-data loop as an interval between two levels."""
+"""Specifications of a controller, and the norm of a sampled-data loop with two levels that enclose this norm."""
 
 import math
 from dataclasses import dataclass

@@ -3,10 +3,10 @@
 Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. A pole with the imaginary part
 omega is on the imaginary axis *up to rounding* if such an E can move an eigenvalue to j omega. This is the case if the smallest
 singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole,
-the allowed distance from the axis is the condition number of the eigenvalue times |E|.
+the largest such distance from the axis is the condition number of the eigenvalue times |E|.
 
 The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole by about
-sqrt(eps). If the pole is at the origin, it still counts as marginal; if it is at -1, it still counts as stable.
+sqrt(eps). Nevertheless, a double pole at the origin counts as marginal, and a double pole at -1 counts as stable.
 
 A controller can stabilise a plant only if every mode that does not decay is controllable and observable.
 """
@@ -27,7 +27,7 @@ from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
 FAR = 1e3  # a pole counts as off the axis if its distance from the axis exceeds this multiple of the first-order rounding error
-LARGE, SEVERAL = 64, 8  # numbers of states and of points above which a Schur form saves time
+LARGE, SEVERAL = 64, 8  # numbers of states and of tested points above which a Schur form saves time
 PART = 400  # largest number of rows in a part of the Schur form; the bound is too weak for larger parts
 
 
@@ -36,9 +36,9 @@ class Stability:
     """Poles of a loop, and whether the loop is stable.
 
     Attributes:
-        poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, poles z without a unit.
+        poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, dimensionless poles z.
         on_axis: mask of the poles that are on the imaginary axis (discrete: on the unit circle) up to rounding, shape (n,).
-        rounding: norm of E, the effect of rounding errors on A [rad/s]; without a unit for a discrete loop.
+        rounding: norm of E, the effect of rounding errors on A [rad/s]; dimensionless for a discrete loop.
         vectors: right eigenvectors of the balanced A, each of length 1, complex, shape (n, n).
         dt: sample period of a discrete loop [s]; None for a continuous loop.
     """
@@ -76,7 +76,7 @@ class Stability:
 
     @property
     def worst(self) -> complex:
-        """Pole that decides whether the loop is stable: the fastest growing pole, or a pole on the axis if no pole grows.
+        """Pole that decides the stability: the fastest-growing pole, or a pole on the stability limit if no pole grows.
 
         For a loop without poles, the value is -inf, or z = 0 if the loop is discrete.
         """
@@ -135,8 +135,8 @@ def sampled_growth(Phi: Array) -> float:
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
-    # Poles outside the unit circle are checked first. If one pole is outside by more than a rounding error, the hundreds of
-    # poles that a delay can add need no check.
+    # Poles outside the unit circle are checked first. If one pole is outside by more than a rounding error, the other poles,
+    # which can be hundreds with a delay, need no check.
     outside = size > 1
     on_circle = _on_circle(Phi, poles, conditions, outside)
     if np.any(outside & ~on_circle):
@@ -190,15 +190,16 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
-    """Returns a mask, shape (n,), of the eigenvalues selected by `asked` that are on the unit circle up to rounding."""
+    """Returns a mask, shape (n,): True for eigenvalues that `asked` selects and that are on the unit circle up to rounding."""
     distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
     return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask, shape (n,), of the eigenvalues of a balanced matrix that rounding could move to the given points."""
+    """Returns a mask, shape (n,): True for each eigenvalue of a balanced matrix that rounding could move to its point."""
     allowed = rounding(A)
-    # The condition number limits how far a pole can move, to first order. Poles that are much farther away are skipped.
+    # The condition number limits how far a pole can move, to first order. Poles that are much farther from their points are
+    # skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
     pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # conjugate points give the same result
     known = _nearly_singular(A, dict.fromkeys(pairs), allowed)
@@ -231,7 +232,7 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
 
 
 class _Triangle:
-    """Schur form T of a matrix, divided into k x k parts."""
+    """Schur form T of a matrix, divided into k x k blocks, called parts."""
 
     def __init__(self, A: Array) -> None:
         T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
@@ -295,7 +296,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
             differences (`Plant.differences`), and the eigenvalues are poles z.
 
     Returns:
-        For each mode, its eigenvalue [rad/s] (discrete: z) and its left eigenvector.
+        Pairs of an eigenvalue [rad/s] (discrete: z) and a left eigenvector, one pair for each mode.
     """
     balanced, scale = balance(A)
     inputs = B / scale[:, None]
@@ -316,7 +317,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Explains why no controller can stabilise the plant. The list is empty if no single mode prevents stabilisation.
+    """Explains why no controller can stabilise the plant. The returned list is empty if no single mode prevents stabilisation.
 
     Args:
         plant: plant to check. If it has no measurements, every state counts as measured.
@@ -339,11 +340,12 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Explains why no static output feedback stabilises the plant. The list is empty if no reason is known.
+    """Explains why no static output feedback stabilises the plant. The returned list is empty if no such reason is known.
 
     The plant must be stabilisable and detectable. A gain K changes the sum of the poles by tr(K C_y B), and it multiplies their
-    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for its differences, in which z = 1 corresponds to 0.
-    The sum does not include decaying poles that no gain can change, such as the poles of a filter in a weight.
+    product by det(I - K C_y (-A)^-1 B). For a discrete plant, this holds for the poles of `Plant.differences`, in which the
+    pole z = 1 becomes 0. The sum does not include decaying poles that no gain can change, such as the poles of a filter in a
+    weight.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:

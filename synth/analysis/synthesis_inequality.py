@@ -2,23 +2,23 @@
 
 For state feedback, LMI (21) has a solution Y if and only if N' M N < 0, where M is the left side of (21) at Y = 0. Here N is a
 basis of all q with [B; D]' q = 0 (the elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w,
-the same inequality must also hold for the transposed plant, with the unknown S instead of X.
+the same inequality must also hold for the transposed plant, with another unknown matrix S instead of X.
 
 **Directions without cost.** If an input v does not appear in z (D v = 0), X can grow without bound along B v. X can also grow
 along A B v, A^2 B v and so on, as long as these directions are not observable in z. The columns of F span these directions
 (`_closure`). A dual solution cannot give weight to these directions. Therefore, N is also orthogonal to [F; 0] and [A F; C F],
 and X appears only as J X J', where J is a basis of all rows with J F = 0. For the transposed plant (B = C_y', D = Dyw'), the
-rows of F' give the states that follow from y and its derivatives whatever w is.
+rows of F' give the combinations of states that can be computed from y and its derivatives, whatever w is.
 
 X can also grow without bound along stable states that are unobservable in z.
 
 **Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
-He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs that do not appear in z do
-not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the states
-that inputs can bring to zero within some samples while z is zero.
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. In discrete plants, inputs that do
+not appear in z do not cause the directions above, because their zeros at infinity lie outside the unit circle. Instead, F
+contains the states that inputs can bring to zero within some samples while z is zero.
 
-All ranks are determined in integers from the given numbers, without tolerances. The result therefore depends neither on the
-magnitude of a direction nor on the units of states, inputs, time, w and z.
+All ranks are determined in integers from the exact entries of the plant, without tolerances. The result therefore depends
+neither on the magnitude of a direction nor on the units of states, inputs, time, w and z.
 
 **Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X can also grow without bound along the direction of
 this zero. Dual solutions then belong to the left deflating subspace of the other zeros. With a basis L of this subspace,
@@ -67,7 +67,7 @@ class AntistablePart:
         P: product L U, whose columns are divided by `columns`, shape (a', a).
         columns: powers of two that scale the columns, shape (a,).
         Q: matrix Lambda, whose eigenvalues are the zeros, shape (a', a').
-        b: matrix b of the inequality, with a column for each disturbance, shape (a', r).
+        b: matrix b of the inequality, with one column for each disturbance w, shape (a', r).
         c: matrix c of the inequality, with a column for each output in z, shape (a', d).
         off: bounds on the error of each entry of P, Q, b and c.
     """
@@ -80,12 +80,12 @@ class AntistablePart:
     off: tuple[float, float, float, float]
 
     def reduced(self, X: Array) -> Array:
-        """Returns the X' of this part that belongs to an X of the whole inequality, shape (a', a')."""
+        """Returns the X' of this part that corresponds to an X of the whole inequality, shape (a', a')."""
         P = self.P * self.columns
         return P @ X @ P.T
 
     def whole(self, X: Array) -> Array:
-        """Returns an X of the whole inequality that belongs to an X' of this part, shape (a, a)."""
+        """Returns an X of the whole inequality that corresponds to an X' of this part, shape (a, a)."""
         back = np.linalg.pinv(self.P) / self.columns[:, None]
         return back @ X @ back.T
 
@@ -96,7 +96,7 @@ class SynthesisInequality:
 
     Attributes:
         J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
-        coordinates: indices of a states; the corresponding columns of J form a diagonal matrix.
+        coordinates: indices of those a states whose columns of J form a diagonal matrix.
         U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The inequality uses these matrices divided by
             `scale`; Q and b are also divided by `unit`.
         unit, scale: powers of two by which the matrices of integers are divided.
@@ -136,7 +136,7 @@ class SynthesisInequality:
 
     @cached_property
     def antistable(self) -> AntistablePart | None:
-        """Part of the inequality that belongs to the unstable zeros; None if there are no stable zeros."""
+        """Part of the inequality that belongs to the unstable zeros; None if it cannot be separated (`_antistable_part`)."""
         return _antistable_part(self)
 
     def floats(self) -> tuple[Array, Array, Array, Array]:
@@ -148,7 +148,7 @@ class SynthesisInequality:
 def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
     """Returns J_other J_one' as integers, shape (a_other, a_one), and their denominator.
 
-    Each J is scaled so that it is the identity in the coordinates of its inequality.
+    The rows of each J are scaled so that the columns `coordinates` of J form the identity matrix.
     """
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     denominator = math.lcm(*columns) * math.lcm(*rows)
@@ -158,8 +158,8 @@ def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Ar
 def _closure(states: Array, inputs: Array) -> Array:
     """Returns the directions without cost of a continuous plant, as columns, shape (n, f).
 
-    The columns span the smallest space that contains every B v with D v = 0 and, for every f in the space, every A f + B v with
-    C f + D v = 0.
+    The columns span the smallest space that contains two kinds of directions: every B v with D v = 0 and, for every f in the
+    space, every A f + B v with C f + D v = 0.
     """
     n = states.shape[1]
     F = inputs[:n, :0]

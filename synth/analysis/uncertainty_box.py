@@ -1,10 +1,10 @@
-"""Proofs of stability and of norm bounds for a box of gain errors: each measurement and each force has its own factor.
+"""Proofs of stability and of norm bounds for a box of gain errors: each measurement and force is multiplied by its own factor.
 
 With these factors on the diagonals of S_y and S_u, the acting gain is S_u K S_y. Consider one factor t, with the other factors
-fixed. The matrices A, C, Bw and Dw of the loop are affine functions of t / (1 - c t) with a constant c, or of t if no
-measurement contains a force. This quotient is monotone as long as the algebraic loop through the measurements is well-posed.
-The algebraic loop is well-posed in the whole box if its determinant, which is affine in every factor, has the same sign at all
-corners.
+fixed. The matrices A, C, Bw and Dw of the loop are affine functions of the quotient t / (1 - c t) with a constant c, or of t if
+no measurement contains a force. The quotient is monotone in t as long as the algebraic loop through the measurements is
+well-posed. The algebraic loop is well-posed in the whole box if its determinant, which is affine in every factor, has the same
+sign at all corners.
 
 For a fixed X, the largest eigenvalue of LMI (20) is convex in the quotient, because the disturbance matrices appear at most
 squared. The eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the
@@ -32,7 +32,7 @@ REGULAR = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Intervals of the factors of q measurements, followed by the intervals of the factors of m forces.
+    """Box of factors: one interval for the factor of each of q measurements, then one for the factor of each of m forces.
 
     Attributes:
         low, high: lower and upper ends of the intervals, shapes (q + m,).
@@ -150,7 +150,7 @@ class ScaledGain:
 
 
 def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """Returns the left side of (20) for loops [A Bw; C Dw], shape (..., n + d, n + d). `identity` replaces the -1 in (20)."""
+    """Returns the left side of (20), with `identity` I for -I, for loops [A Bw; C Dw], shape (..., n + d, n + d)."""
     n = len(X)
     left, W = loops[..., :n] @ X, loops[..., n:]
     F = eta * W @ W.swapaxes(-1, -2)

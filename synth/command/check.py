@@ -67,9 +67,9 @@ UNPROVED_BOUND = "no bound is proved, because rounding leaves no X that satisfie
 
 
 def prove_controller(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
-    """Returns a controller with a proved bound just above its norm, and notes.
+    """Returns the controller with a proved bound just above its norm, and notes about the proof.
 
-    The controller is unchanged if it has a bound already, or if its loop has no finite norm.
+    The controller is unchanged if its bound is already proved, or if the norm of its loop is not finite.
     """
     certificate = controller.certificate
     if certificate.bound is not None or not np.isfinite(certificate.norm.value) or not controller.measured:

@@ -1,7 +1,8 @@
 """Cross-check of the designs from problems (22) and (25) with a second solver, Clarabel.
 
 The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum, so two solvers agree
-in gamma, but not in the gain. The gain is therefore checked by a second problem, in which the designed gain is fixed.
+in gamma, but not in the gain. The designed gain is therefore checked by a second problem, in which the gain is fixed to this
+gain.
 """
 
 from dataclasses import asdict, dataclass
@@ -34,7 +35,7 @@ class CrossCheck:
         optimum_gap: relative gap between the gamma of the designed gain and the optimal gamma `ours`.
         theirs: optimal gamma from Clarabel; None if Clarabel failed.
         attained: gamma that Clarabel finds if the gain is fixed to the designed gain; None if Clarabel failed.
-        said: status text that Clarabel returned if it did not solve both problems; else empty.
+        said: errors or statuses of the problems that Clarabel did not solve accurately; empty if Clarabel solved both problems.
     """
 
     problem: str
@@ -61,7 +62,7 @@ class CrossCheck:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Descriptions of the disagreements."""
+        """Descriptions of the disagreements between Clarabel and the design."""
         failed, theirs = [], f"Clarabel's optimal gamma of problem {self.problem}, {BOUND.digits(self.theirs)}"
         if self.apart is not None and abs(self.apart) > TOLERANCE:
             failed.append(f"{theirs}, differs from the optimal gamma of this design, {BOUND.digits(self.ours)}")

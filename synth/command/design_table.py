@@ -33,7 +33,7 @@ from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride
 # last stage of the progress display: computing the limit for all controllers and finding gains that are not unique
 FREE = "limits for every controller"
 MORE = "-v explains the columns and prints poles, notes and laws."
-# If one of these options is given, its results are printed instead of gains and rides
+# If one of these options is given, the results of this option are printed instead of gains and rides
 ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
 # allowed relative increase of gamma; `--json` shows how far each gain may change until gamma has increased by this amount
 FLAT = 1e-4
@@ -51,10 +51,10 @@ class Designs:
     Attributes:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
-        limit: lower bound on the norm for all controllers, because it does not depend on the control force.
+        limit: part of the norm that no control force can change, which is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
-        flat: allowed change of the state-feedback gain on each state; see `_flatness`.
-        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if it is not defined.
+        flat: changes of the state-feedback gain on each state that hardly increase gamma; see `_flatness`.
+        passive: expected ride (weighted acceleration) of the passive suspension [m/s2]; None if no expected ride is defined.
         expected_rides: expected ride [m/s2] of a vehicle with persons, by point and by controller; points where a person sits
             come first.
         without: norm without control; infinite if the vehicle is not damped.
@@ -106,7 +106,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 
 def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> Designs:
-    """Designs or checks the controllers, and computes everything that the options request."""
+    """Designs or checks the controllers, and computes all results that the options request."""
     stages = ["saved claims"] if options.check else [f"controller {name}" for name in names]
     designer, stage = Designer(vehicle), Stages(*stages, FREE)
     if options.check:
@@ -211,12 +211,13 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns how far each state-feedback gain may change if gamma increases by at most FLAT.
 
-    If the table contains a state feedback, its gain is used; otherwise a gain is designed. This gain is used even if its
-    central path ended early. The result is empty for a vehicle with integrals of measurements, because its state feedback is
-    not just a gain.
+    If the table contains a state feedback, its gain is used; otherwise a state feedback is designed. The gain is used even if
+    the central path of its design ended early. The result is empty for a vehicle with integrals of measurements, because the
+    state feedback then has states of its own.
 
     Returns:
-        For each state, the largest gain that acts on this state, and its allowed decrease and increase; None if unlimited.
+        For each state, the largest gain that acts on this state, and the allowed decrease and increase of this gain; None if
+        unlimited.
     """
     if designer.vehicle.integrals:
         return {}
@@ -230,7 +231,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
-        if values[1:].any()  # False if the gain must not change at all
+        if values[1:].any()  # False if the gain on this state must not change at all
     }
 
 
@@ -255,7 +256,7 @@ def _draw_responses(designs: Designs, path: Path) -> Path | None:
 
 
 def _expected_ride(designs: Designs) -> dict[str, Any]:
-    """Returns the expected ride of the passive vehicle, and the road and speed for which it holds, for JSON."""
+    """Returns, as JSON, the expected ride of the passive vehicle, and the road class and the speed for which it is computed."""
     ride: dict[str, Any] = {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
     ride |= {"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {}
     return ride | ({"points": designs.expected_rides} if designs.expected_rides else {})

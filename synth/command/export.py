@@ -57,7 +57,7 @@ def _one(vehicle: Vehicle, options: Namespace, names: Sequence[str], what: str) 
 
 
 def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> tuple[Vehicle, ExportedLaw, dict[str, str]]:
-    """Returns the vehicle whose file contains the controller, the exported law, and the texts of the exported folder."""
+    """Returns the vehicle whose file contains the controller, the exported law, and the texts of the exported files."""
     name, saved, own = _one(vehicle, options, vehicle.controller_names, "--export writes one controller")
     driver = driver_of(saved, own)
     law = exported_law(saved, driver, options.numbers, prefix(c_name(name)), _ranges(options.ranges))
@@ -242,7 +242,7 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     """Returns the ranges that are given as `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: a range does not have this form, its number is too small or too large, or the range is given twice.
+        InputError: a range does not have this form, its number is too small or too large, or a signal has two ranges.
     """
     ranges = {}
     for text in given:
@@ -297,7 +297,7 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
     """Runs the compiled code on the test vectors. Returns the result as text, and False if an output is wrong.
 
-    Without a compiler, the code is not run, which does not count as wrong.
+    Without a compiler, the code is not run; this does not count as a wrong output.
     """
     try:
         command = compiler()

@@ -29,7 +29,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         assert row.controller is not None
         whole = norms[row.name] = row.controller.certificate.norm
         at = whole.peak_frequency / (2 * np.pi)
-        hertz = np.union1d(np.geomspace(low, high, POINTS), [at] if low < at < high else [])  # a narrow peak is between points
+        hertz = np.union1d(np.geomspace(low, high, POINTS), [at] if low < at < high else [])  # adds the peak frequency
         gains = largest_singular_values(row.controller.loop(vehicle).frequency_response(2 * np.pi * hertz))
         look = style[row.name]
         curves.append(Curve(hertz, gains, row.name, look.color, look.dash))

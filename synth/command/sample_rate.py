@@ -40,7 +40,7 @@ def periods_of(rates: Sequence[float]) -> list[float]:
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
-    """Runs the command for the given controllers. Returns the exit code.
+    """Runs the command for the requested controllers. Returns the exit code.
 
     Raises:
         InputError: a sample period is not allowed, or the figure cannot be written.

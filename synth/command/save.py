@@ -44,7 +44,7 @@ def save(
 ) -> None:
     """Writes a vehicle file that contains each designed law as controller NAME_designed. All other commands can read this file.
 
-    Controllers with a preview are omitted if there are other controllers.
+    Controllers with a preview are omitted if there are also controllers without a preview.
 
     Args:
         path: path of the vehicle file to be written.

@@ -71,13 +71,14 @@ class Row:
         worth: low estimate of the relative decrease of the norm that `--refine` would achieve; 0 if the decrease is negligible.
         witness: result of the cross-check with the solver Clarabel; None if not requested.
         sampled: norm of the sampled-data loop; None if the vehicle file describes no implementation.
-        sampled_below: lower bound on the norm of the sampled-data loop for any controller with these measurements; None unless
-            the controller is designed for this loop.
+        sampled_below: lower bound on `sampled` for all controllers with the measurements of this controller; None if the
+            controller is not designed for the sampled-data loop.
         fragile: gain errors that the controller tolerates; None if not requested.
         answers: sentences with the results that the user requested by options; `notes` contains these sentences, too.
-        ride: expected weighted acceleration on an average road [m/s2]; None if it is not defined.
-        refined: True if the controller was refined; its gain is then part of the answer.
-        margins: stability of the law itself, and stability margins of its loop if they are small; None if there is no law.
+        ride: expected weighted acceleration on an average road [m/s2]; None if no expected ride is defined.
+        refined: True if the controller was refined; the short output then contains its gain, too.
+        margins: stability of the law itself, and the stability margins of the closed loop if they are small; None if there is
+            no law.
     """
 
     name: str
@@ -106,14 +107,14 @@ class Row:
 
     @property
     def sampled_gap(self) -> float | None:
-        """Relative gap between the sampled-data norm and its lower bound; None if the norm or the bound is missing."""
+        """Relative gap between the sampled-data norm and its lower bound; None if one is missing or the loop is unstable."""
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
 
 
 def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
-    """Returns the value of a field that exists only for a stable loop; for an unstable loop, the verdict as text."""
+    """Returns the value of a field that exists only for stable loops; for any other loop, the stability verdict as text."""
     if row.certificate is None:
         return "NOT DESIGNED"
     value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
@@ -140,7 +141,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
     Args:
         vehicle: vehicle of the controllers.
         rows: rows of the table, one for each controller.
-        limit: lower bound on the norm for all controllers, because it does not depend on the control force.
+        limit: part of the norm that no control force can change, which is a lower bound for all controllers.
         plant: generalized plant for which `limit` holds.
         apart: True if sampled-data norms are shown only in a separate table.
     """
@@ -179,7 +180,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
 
 def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """If a controller is designed, returns a note about forces without a weight, whose size the design does not limit."""
+    """Returns a note about forces that no weight limits, if the table contains a controller designed by the command."""
     given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
     free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
     text = f"No weight limits {list_names(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
@@ -229,7 +230,7 @@ NORMS: tuple[Field[Row], ...] = (
 
 
 def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Statement]:
-    """Describes each controller: its gain or first specification, the results of options, and failures.
+    """Describes each controller: its gain or first specification, the results that options request, and failures.
 
     Args:
         rows: rows of the table, one for each controller.
@@ -254,7 +255,7 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
 
 
 def _first(row: Row, gains: bool) -> Iterator[str]:
-    """Describes a controller by its first specification, its gain if it is short, or its undamped natural frequencies."""
+    """Describes a controller by its first specification, by its gain if the text is short, or by undamped natural frequencies."""
     controller = row.controller
     assert controller is not None
     if lacks_damping(controller):
@@ -284,16 +285,15 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 
 def failures_of(row: Row) -> list[str]:
-    """Describes the failures.
-
-    If wrong signs of the gains may be the cause, the first description contains a note about this.
+    """Describes the failures of a row. If wrong signs of the gains may have caused the failures, the first description mentions
+    this.
     """
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 
 
 def lacks_damping(controller: Controller) -> bool:
-    """Returns True for a vehicle without control in which some motion is undamped. This is not a failure of a controller."""
+    """Returns True for a vehicle without control in which some motion is undamped, which does not count as a failure."""
     return not controller.measured and controller.certificate.stability.verdict == MARGINAL
 
 
@@ -318,7 +318,7 @@ def _goals(row: Row) -> str | None:
 
 
 def _least_damped(row: Row) -> complex | None:
-    """Returns the pole with the smallest damping ratio of a loop."""
+    """Returns the pole of a loop that has the smallest damping ratio."""
     return min(_poles(row.controller), key=DAMPING.value, default=None) if row.controller is not None else None
 
 
@@ -365,7 +365,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
 
 
 def pole_words(pole: complex) -> str:
-    """Returns a pole, and the natural frequency and damping ratio of a mode that oscillates."""
+    """Returns a pole as text; if the mode oscillates, the text includes its natural frequency and damping ratio."""
     if not pole.imag:
         return SLOWEST_POLE.digits(pole.real)
     place = f"{SLOWEST_POLE.digits(pole.real)} +- {SLOWEST_POLE.digits(pole.imag)}j"

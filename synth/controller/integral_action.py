@@ -20,7 +20,7 @@ from models.laws.linear import LinearLaw
 from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.generalized import Plant
 
-RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if it is smaller there than this multiple of its terms
+RETURNS = 1e-9  # a transfer function counts as zero at 0 rad/s if its value is below this multiple of the terms that form it
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:

@@ -40,7 +40,7 @@ FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # factors by which the forces
 GAIN = Field[float]("gain", float, ".3g", unit="dB")
 TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
 SHARE = Field[float]("direct feedback", float, ".4g")
-EXACT = 1e-9  # relative accuracy of the distance between 1 and the factor at which the loop becomes unstable
+EXACT = 1e-9  # relative accuracy of the distance from 1 to the force factor at which the loop becomes unstable
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ TOGETHER = 128  # number of sample periods that are computed together
 MOST_SQUARINGS = 4  # largest number of squarings of a transition matrix to prove that it is a contraction
 # no eigenvalue can reach the unit circle within one step if a power of the transition matrix has a norm below this value
 CONTRACTS = 0.4
-# a minimum does not indicate instability if it is higher than this, relative to the rise of the parabola over one step
+# a minimum of the product is ignored if it exceeds this multiple of the rise of the fitted parabola over one step
 SHALLOW = 0.2
 SMALL = 1e-3  # accuracy with which a minimum is located, relative to one step
 WIDEST = 1.0  # largest step between two tested sample periods if no pole turns [s]
@@ -152,9 +152,10 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
             if products[i] > 0:
                 low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
                 first = _dip(part, first, h, products[i - 1 : i + 2]) if low else None
-            # the loop is actually unstable, and the sign is not just a rounding error of the product
+            # this test ensures that the loop is actually unstable, and that the sign is not just a rounding error of the
+            # product
             if first is not None and growth(first) > 0:
-                # the period is above 0, because every loop is at the stability limit for a period of 0
+                # the period must be above 0, because every loop is at the stability limit for a period of 0
                 before = max(first - h, 1e-3 * h)
                 # The loop is far faster than the plant. Either the sign is a rounding error, or the loop is unstable at a
                 # shorter period

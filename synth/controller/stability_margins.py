@@ -33,15 +33,15 @@ from synth.controller.sample_period_margin import all_sampled, largest_sample_pe
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-# a loop that is stable with this factor counts as having no upper limit, because rounding affects larger factors
+# a loop that is stable with this gain factor counts as having no upper gain limit, because rounding affects larger factors
 LARGEST_FACTOR = 1e4
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
 # two factors count as equal if their relative difference is smaller than this; only half of the digits of a double eigenvalue
 # are correct
 SAME = 1e-6
 ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; the numbers are odd, so that pi is one of the angles
-# Largest number of states for which the quadratic eigenvalue problem is solved. With more states, its matrix has over 500 rows,
-# and searching a grid is faster
+# Largest number of states for which the quadratic eigenvalue problem is solved. With more states, the matrix of this problem
+# has over 500 rows, and searching a grid is faster
 MOST_QUADRATIC = 18
 
 
@@ -209,8 +209,8 @@ def gain_crossings(cut: StateSpace, tried: Array | None = None) -> list[float]:
 def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
     """Returns every crossover at a frequency above zero, ordered by delay."""
     # The pencil contains squares of the loop's entries. If the units of states differ (a lagged force in N, a position in m),
-    # rounding may hide solutions. A false crossover is easy to detect, but a missing one is not. A grid is therefore searched,
-    # too.
+    # rounding may hide solutions. A false crossover is easy to detect, but a missing crossover is not. A grid of angles is
+    # therefore searched, too.
     quadratic = not np.any(cut.D) and len(cut.A) <= MOST_QUADRATIC
     candidates = _of_the_pencil(_balance_loop(cut)) if quadratic else []
     beyond = [Crossover(math.inf, 0.0)] if cut.feedthrough_radius >= 1 else []
@@ -303,8 +303,8 @@ def _sign_changes(growth: Callable[[float], float], tried: Array) -> list[float]
     """Returns the positive candidates at which the growth rate changes its sign, refined to a relative accuracy of 1e-13."""
     changes = []
     candidates = np.unique(tried[(tried > 1 / LARGEST_FACTOR) & (tried < LARGEST_FACTOR)])
-    # A pair of poles gives the same factor twice, with different rounding errors. Between the two values, the growth is zero,
-    # and its sign is undefined.
+    # A pair of poles gives the same factor twice, with different rounding errors. Between these two values, the growth is zero
+    # up to rounding, so its sign is meaningless.
     candidates = candidates[np.diff(candidates, append=np.inf) > SAME * candidates]
     # The growth changes its sign only at candidates. Halfway between two neighbouring candidates, rounding does not affect the
     # sign.

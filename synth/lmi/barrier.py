@@ -24,12 +24,12 @@ from models.common.arrays import Array
 # Pair (F0, F) of arrays with shapes (k, k) and (N, k, k). The matrix F0 + sum_i p_i F_i must stay positive definite
 Block = tuple[Array, Array]
 
-# Newton's method with full steps converges quadratically if the Newton decrement is below this (Boyd, Vandenberghe, section
-# 9.6.4)
+# Newton's method with full steps converges quadratically if the Newton decrement is below this value (Boyd, Vandenberghe,
+# section 9.6.4)
 QUADRATIC = 0.25
 STEPS = 200  # largest number of Newton steps
-# Largest total number of rows for which all blocks are joined, to save calls. With more rows, only the blocks with one row are
-# joined
+# Largest total number of rows with which all blocks are joined into one block, to save calls of LAPACK. With more rows, only
+# the blocks with one row are joined
 TOGETHER = 24
 PANEL = 64  # number of columns that the QR decomposition processes together
 
@@ -133,9 +133,9 @@ class FactoredDerivatives(ABC):
     Attributes:
         trace: gradient, shape (N,).
         scale: diagonal of S, shape (N,).
-        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. Entries below its diagonal
-            are arbitrary.
-        logarithm: logarithm of the last unknown, if the barrier contains it.
+        triangle: upper triangular matrix R without `logarithm`, shape (N, N), in C or Fortran order. The entries of `triangle`
+            below the diagonal are arbitrary.
+        logarithm: term with the logarithm of the last unknown; None if the barrier does not contain this term.
     """
 
     trace: Array
@@ -156,12 +156,12 @@ class FactoredDerivatives(ABC):
         """Returns the eigenvalues r of the step: from p to p + t step, log det changes by the sum of log(1 + t r)."""
 
     def rates(self, step: Array) -> Array:
-        """Returns the eigenvalues of `block_rates`, followed by the rate of the additional logarithm."""
+        """Returns the eigenvalues of `block_rates`, followed by the rate of the logarithm of the last unknown, if present."""
         rates = self.block_rates(step)
         return rates if self.logarithm is None else np.append(rates, self.logarithm.slope * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
-        """Returns the step length t that minimises slope t minus sum log det, and minus the logarithm, along the step."""
+        """Returns the t that minimises `slope` * t minus sum log det (minus the logarithm of the last unknown, if present)."""
         rates = self.rates(step)
         return _lowest(slope, rates, 1.0 if self.logarithm is None else np.append(np.ones(len(rates) - 1), self.logarithm.weight))
 
@@ -187,8 +187,8 @@ class Local(FactoredDerivatives):
 
     Attributes:
         W: matrices L^-1 F_i L^-T of every block with k rows, where the block at the point is L L', shapes (N, k k).
-        numbers: L^-1 F_i L^-T of the k blocks with one row that are not joined with other blocks, shape (N, k); None if there
-            are no such blocks.
+        numbers: values L^-1 F_i L^-T of the k one-row blocks that are not joined with other blocks, shape (N, k); None without
+            such blocks.
     """
 
     W: list[Array]
@@ -212,7 +212,7 @@ class Derivatives(Protocol):
 class WithLogTerm:
     """Barrier plus weight * log(p_N), where the last unknown p_N must be positive.
 
-    At the maximum of the sum, the slope of the barrier alone along p_N is -weight / p_N.
+    At the maximum of the sum, the derivative of the barrier (without the logarithm) with respect to p_N is -weight / p_N.
     """
 
     barrier: Derivatives
@@ -251,11 +251,11 @@ def newton(
     The iteration stops when the Newton decrement is below the tolerance, or when rounding prevents further progress.
 
     Args:
-        barrier: barrier that is added to the cost.
+        barrier: barrier that is added to the linear cost.
         p: feasible starting point, shape (N,).
         c: linear cost, shape (N,).
         tolerance: Newton decrement below which the iteration stops.
-        leave: function that returns True if a point needs other coordinates, so that the iteration must stop.
+        leave: function that returns True if the coordinates must be changed at a point, so that the iteration must stop.
         here: derivatives of the barrier at the starting point, if they are known.
 
     Returns:
@@ -276,7 +276,7 @@ def newton(
         step = -here.solve(half)
         length = 1.0 if decrement < QUADRATIC else here.lowest(float(c @ step), step)
         moved = barrier.at(p + length * step)
-        while moved is None and length > 1e-10:  # the step ends closer to the boundary than the rounding errors
+        while moved is None and length > 1e-10:  # the end of the step is outside, because of rounding errors near the boundary
             length /= 2
             moved = barrier.at(p + length * step)
         if moved is None:
@@ -317,10 +317,10 @@ def boundary(here: FactoredDerivatives, step: Array) -> float:
 
 FASTER = 8.0  # factor by which the weight of the last unknown grows from one point of the path to the next
 CENTRES = 24  # largest number of points that are computed on the path
-CENTRE_DECREMENT = 0.1  # a point counts as a point of the path if its Newton decrement is below this
+CENTRE_DECREMENT = 0.1  # a point counts as a point of the central path if its Newton decrement is below this
 WITHIN = 0.95  # largest step along the tangent of the path, as a fraction of the distance to the boundary
 SHORTEST = 1e-10  # shortest step along the tangent, as a fraction of the full step
-SURE = 1.1  # safety factor on the distance between the last unknown at a point of the path and its smallest possible value
+SURE = 1.1  # safety factor on the distance between the last unknown, at a point of the path, and its smallest possible value
 
 
 def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:
@@ -334,8 +334,8 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
         p: feasible point whose last unknown is above `enough`.
         rows: total number of rows of all blocks of the barrier.
         enough: value of the last unknown below which the path ends.
-        close: distance from the smallest possible value of the last unknown at which the path ends, if this smallest value is
-            certainly above `enough`.
+        close: distance of the last unknown from its smallest possible value at which the path ends, if that value is certainly
+            above `enough`.
 
     Returns:
         The last point on the path.

@@ -6,16 +6,16 @@ is therefore defined as the limit, for mu -> 0, of the unique solution of the pr
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-The limit depends neither on a solver nor on state coordinates, input units or the time unit, because these only add constants
-to the logarithms. The gains published in the paper are this limit.
+The limit depends neither on a solver nor on state coordinates, input units or the time unit, because changing them only adds
+constants to the logarithms. The gains published in the paper are equal to this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
 tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =
 diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
-are changed again so that X = I and Y = 0, where the plant absorbs the current gain.
+are changed again so that X = I and Y = 0. The current gain then becomes part of the plant.
 
-For a discrete plant, log det of the larger matrix in `certificate.py` replaces the last two logarithms, because this matrix
-contains both constraints. As the sample period decreases, this path approaches that of the continuous plant.
+For a discrete plant, log det of the larger matrix in `certificate.py` replaces the three logarithms, because this matrix
+contains all constraints. As the sample period decreases, this path approaches the path of the continuous plant.
 """
 
 import contextlib
@@ -50,13 +50,13 @@ LIMIT = 1e-9
 CENTRE_DECREMENT = 1e-6
 # values of mu / eta for which points of the path are computed
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))
-FIRST = 1.0  # value of mu / eta at the first point, which is far from the optimum
+FIRST = 1.0  # value of mu / eta at the first point of the path, which is far from the optimum
 FAR = 1e5  # condition number of X above which new coordinates are chosen; directly after a change of coordinates, X = I
-# largest number of coordinate changes at one point; if X still grows after them, the central path has no point for this mu
+# largest number of coordinate changes at one point; if X still grows after these changes, the path has no point for this mu
 MOST_MOVES = 12
-DENSE = 200  # largest number of unknowns for which a dense basis is faster, because it needs fewer calls
+DENSE = 200  # largest number of unknowns for which a dense basis is faster, because computations then need fewer calls
 # Largest number of unknowns, for example for 62 states and one input. A path then takes half a minute. The time grows with the
-# cube of this number, and the memory with its square.
+# cube of the number of unknowns, and the memory with its square.
 MOST = 2000
 MOST_BORDERED = 600  # largest number of unknowns for a discrete plant; its matrices are larger, and they are treated as dense
 LARGEST_Y = 10.0  # upper bound on |Y| in the search for a feasible point
@@ -75,7 +75,7 @@ class CentralPoint:
         X: matrix X of the form (12), shape (n, n).
         K: gain Y_R X_R^-1 of (13), shape (m, q). The gain K acts on the q coordinates that R spans.
         eta: value gamma^-2 of the point. The optimal eta is larger by at most (2 n + d) mu.
-        mu: path parameter of this point, divided by eta.
+        mu: path parameter mu of this point, divided by eta.
         proof: an X that proves the bound, if `X` itself does not prove it because of states that are unobservable in z;
             otherwise None.
     """
@@ -116,7 +116,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
         plant: plant with n states and m inputs.
         Q: matrix of shape (n, n - q).
         R: matrix of shape (n, q), such that [Q R] is regular.
-        mu: parameter of the path at its end, relative to eta. The default is close to the limit; a larger value ends farther
+        mu: value of mu / eta at which the path ends. The default is close to the limit; a larger value ends farther
             from the optimum.
 
     Returns:
@@ -126,7 +126,7 @@ def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[Ce
         InputError: no disturbance acts on the plant, or no signal is weighted.
         NoSolutionError: there is no feasible point with eta > 0.
         TooLargeError: the problem has more than MOST unknowns.
-        DesignError: Newton's method failed before it reached mu.
+        DesignError: Newton's method failed before mu / eta reached the value `mu`.
     """
     return list(along_path(plant, Q, R, mu))
 
@@ -144,14 +144,14 @@ def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralP
 
 
 def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
-    """Yields the points for a discrete plant in differences over a step [s], or for a continuous plant if the step is 0."""
+    """Yields the points for a plant in difference form with the period `step` [s], or a continuous plant if `step` is 0."""
     check_posed(plant.unmeasured)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = None
     if hides_stable_states(plant, np.hstack([Q, R]), step):
         part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
-    # X may grow without bound along unobservable states, so the path is computed for the other states only
+    # X may grow without bound along states that are unobservable in z, so the path is computed for the other states only
     if part is not None:
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
@@ -205,7 +205,7 @@ class PathPoint:
     """Current point of a central path that is being followed, and the coordinates in which this point is X = I and Y = 0."""
 
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
-        self.free = Q.shape[1]  # the number of rows is a = n - q
+        self.free = Q.shape[1]  # number a = n - q of columns of Q
         T = np.hstack([Q, R])
         # Inputs that have no effect stay zero, and linearly dependent inputs are combined.
         self.inputs = plant.independent_inputs()
@@ -243,8 +243,8 @@ class PathPoint:
         """Finds a strictly feasible point.
 
         Feasible points exist if and only if He(A X + B Y) < 0, where He(M) = M + M', has a solution with the structure (12). If
-        such a pair is scaled down enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A
-        X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
+        this pair (X, Y) is multiplied by a small enough factor, it satisfies (24) with some eta > 0. The method therefore
+        minimises s subject to He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s < 0.
 
         Raises:
             NoSolutionError: there is no feasible point, up to rounding.
@@ -282,7 +282,7 @@ class PathPoint:
         self._move_to(X, Y)
 
     def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
-        """Scales a pair with He(A X + B Y) < 0 so that it satisfies (24).
+        """Scales a pair (X, Y) with He(A X + B Y) < 0 so that it satisfies (24).
 
         Returns:
             The scaled X and Y, and the largest eta that (24) allows for them.
@@ -315,7 +315,7 @@ class PathPoint:
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
-        if here is None:  # the starting point is infeasible only because of rounding
+        if here is None:  # only rounding can make the starting point infeasible
             raise DesignError(f"the central path could not be started: {BREAKS_OFF}")
         while True:
             p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRE_DECREMENT, self._far, here)
@@ -422,7 +422,7 @@ class PathPoint:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns the gain at the current point in the initial coordinates:
+        """Returns the gain at the current point, expressed in the initial coordinates:
 
         Y_R X_R^-1 plus the gain that the plant has absorbed so far.
         """

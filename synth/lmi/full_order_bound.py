@@ -49,22 +49,21 @@ def find_lower_bound(
     beyond_control: LowerBound | None = None,
     Dyw: Array | None = None,
 ) -> LowerBound:
-    """Returns the largest lower bound on the norm of all controllers that a dual solution, an invariant point or zeros prove.
+    """Returns the largest lower bound on the norm, for all controllers, that dual solutions, an invariant point or zeros prove.
 
     Args:
         plant: plant with n states and m inputs.
-        Cy: matrix of the measurements, shape (q, n). The bound then holds for output feedback of any order from y = C_y x + Dyw
-            w. By default, these are the measurements of the plant. If the plant has no measurements, the bound is for state
-            feedback. The bound for state feedback also holds for output feedback, but the bound for output feedback may be
-            higher.
-        path: points of the central path of `state_feedback` for this plant, if they are known.
-        beyond_control: bound of `bound_beyond_control`, if it is known.
+        Cy: matrix of the measurements y = C_y x + Dyw w, shape (q, n). The bound holds for output feedback of any order from y.
+            Default: the measurements of the plant. If the plant has no measurements either, the bound is for state feedback.
+            The bound for state feedback also holds for output feedback, but the bound for output feedback may be higher.
+        path: points of the central path of `state_feedback` for this plant; empty if not computed yet.
+        beyond_control: bound that `bound_beyond_control` returns; None if not computed yet.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
         The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, and there is a non-decaying mode on
         which w does not act, the LMIs do not have a strictly feasible point. In this case, only zeros and the invariant point
-        bound the norm, and `reason` describes the mode.
+        can prove a bound, and `reason` describes the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
@@ -94,7 +93,7 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
-    # None if y and its derivatives determine all of the states
+    # None if y and the derivatives of y determine all states
     other = observer if observer is not None and len(observer.J) else None
     if dual is not None:
         best = max(best, _unmeasured_disturbance_bound(plant, dual), key=_gamma)
@@ -118,8 +117,8 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
 def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
     """Returns the lower bound for state feedback.
 
-    The bound comes from the dual of (22). If the plant's inequality has fewer coordinates than (22), or if (22) has no path,
-    the bound comes from the path of this inequality.
+    The bound comes from the dual of (22). If the plant's `SynthesisInequality` has fewer coordinates than (22), or if (22) has
+    no path, the bound comes from the central path of this inequality.
     """
     bound = (
         _along_joint_path(plant, None, one, None)
@@ -132,7 +131,7 @@ def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[C
 def _along_joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> LowerBound:
-    """Returns the best bound from the points of `_joint_path`; 0 if the problem has no solution with a finite gain."""
+    """Returns the largest bound that points of `_joint_path` prove; 0 if the problem has no solution with a finite gain."""
     points = []
     with contextlib.suppress(InputError), up_to_rounding(), np.errstate(all="ignore"):
         for point in _joint_path(plant, dual, one, other):
@@ -141,9 +140,10 @@ def _along_joint_path(
 
 
 def bound_beyond_control(plant: Plant) -> LowerBound:
-    """Returns the lower bound at the invariant point; 0 if control can change every direction of z.
+    """Returns the lower bound at the invariant point; 0 if the control can change every direction of z at every frequency.
 
-    For a discrete plant, the frequency is found with its continuous image, but the bound is computed for the discrete plant.
+    For a discrete plant, the frequency is found with the bilinear image of the plant, but the bound is computed for the plant
+    itself.
     """
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, true_frequency
@@ -193,7 +193,7 @@ def _sharpest(
     other: SynthesisInequality | None,
     points: Sequence[tuple[DualCertificate, DualCertificate | None, float]],
 ) -> LowerBound:
-    """Returns the best lower bound that points of a path prove. The search goes from the last point back to earlier ones.
+    """Returns the largest lower bound that points of a path prove. The search goes from the last point back to earlier points.
 
     The search ends at the first point whose proof loses no digits to rounding.
     """
@@ -208,7 +208,7 @@ def _sharpest(
 def _joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> Iterator[tuple[DualCertificate, DualCertificate | None, float]]:
-    """Yields dual certificates and gamma along the path as far as the path can be followed, each closer to the optimum."""
+    """Yields dual certificates and gamma at points that approach the optimum, until the path cannot be followed further."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
         return
     first, second = _ProjectedLmi(one, plant), None
@@ -256,8 +256,8 @@ def _joint_path(
 def _feasible(plant: Plant) -> Array:
     """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
-    X is the inverse of the solution of a Riccati equation in the plant's own units. The output z of this equation also contains
-    the states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
+    X is the inverse of the solution of a Riccati equation in the units of `own_units`. The output z of this equation also
+    contains the states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
     """
     units = own_units(plant)
     own = units.into(plant)
@@ -288,7 +288,7 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 
 
 class _ProjectedLmi:
-    """One of the two inequalities, with its current X = T T'. In the coordinates of T, X is the identity."""
+    """One of the two inequalities, with its current solution X = T T'. In the coordinates of T, X is the identity."""
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable
@@ -303,7 +303,7 @@ class _ProjectedLmi:
         self.rows, self.columns = np.triu_indices(len(X))
 
     def start(self, last: float) -> Array:
-        """Returns the vector of unknowns for X = I and a given last unknown."""
+        """Returns the vector of unknowns in which X = I and the last unknown is `last`."""
         return np.append((self.rows == self.columns).astype(float), last)
 
     def feasible_eta(self) -> float:
@@ -320,7 +320,7 @@ class _ProjectedLmi:
         return -half - half.swapaxes(1, 2)
 
     def units(self) -> Array:
-        """Returns the coefficients of the unknowns in X, shape (N, a, a)."""
+        """Returns the coefficient matrices of the unknowns in X, shape (N, a, a)."""
         index, E = np.arange(len(self.rows)), np.zeros((len(self.rows), *self.T.shape))
         E[index, self.rows, self.columns] = E[index, self.columns, self.rows] = 1
         return E

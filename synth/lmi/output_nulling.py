@@ -24,7 +24,7 @@ def output_nulling_gains(plant: Plant) -> Iterator[Array]:
 
 
 def in_balanced_coordinates(plant: Plant, T: Array) -> tuple[Plant, Array]:
-    """Returns the plant in the coordinates in which ranks are determined (columns of T with length 1), and the lengths."""
+    """Returns the plant in coordinates for determining ranks: the columns of T, divided by their lengths; and these lengths."""
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)
     return plant.in_coordinates(T / lengths), lengths
 
@@ -36,7 +36,7 @@ def hides_stable_states(plant: Plant, T: Array, step: float) -> bool:
 
 
 def sees_every_state(plant: Plant) -> bool:
-    """Returns True if no state is unobservable in z, neither without control nor with the gain -D^+ C."""
+    """Returns True if every state is observable in z, both without control and with the gain -D^+ C."""
     return not any(output_nulling_subspace(plant, F)[1].shape[1] for F in output_nulling_gains(plant))
 
 
@@ -69,5 +69,5 @@ def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[
 
 
 def complement(V: Array) -> Array:
-    """Returns an orthonormal basis of the complement of the orthonormal columns of V, shape (n, n - k)."""
+    """Returns an orthonormal basis of the orthogonal complement of the space that the columns of V span, shape (n, n - k)."""
     return np.linalg.svd(V.T)[2][V.shape[1] :].T

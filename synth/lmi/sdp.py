@@ -1,7 +1,7 @@
 """Solution of the LMI problems by the solver Clarabel through cvxpy.
 
-The solver is an independent method to check every bound. The designs are computed with the central path (`central_path.py`),
-which does not need a solver.
+The solver serves only as an independent check of the bounds. The designs are computed with the central path
+(`central_path.py`), which does not need a solver.
 """
 
 import warnings

@@ -46,7 +46,7 @@ class StackedBarrier:
         return X
 
     def unknowns(self, X: Array) -> Array:
-        """Returns the unknowns of X as a vector."""
+        """Returns the unknowns of the symmetric matrix X as a vector."""
         return X[self.rows, self.columns]
 
     def change(self, X: Array, t: float) -> Array:
@@ -106,7 +106,7 @@ class StackedLocal(FactoredDerivatives):
     """Derivatives of a `StackedBarrier` at a point.
 
     Attributes:
-        barrier: barrier whose derivatives are given.
+        barrier: barrier to which the derivatives belong.
         inverse: inverse Cholesky factors of S for every loop, shape (V, n + d, n + d).
         alone: inverse Cholesky factor of X, shape (n, n).
     """

@@ -1,6 +1,7 @@
 """Logarithmic barrier as in `barrier.py`, for unknowns that are entries of matrices.
 
-The Hessian needs n^4 operations; with a dense basis it needs n^6. Every constraint of the central path has the form
+Computing the Hessian takes n^4 operations; with a dense basis of the unknowns, it would take n^6. Every constraint of the
+central path has the form
 
     S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
 
@@ -8,10 +9,10 @@ with the unknowns X (symmetric and block diagonal), Y and p_N. Let P = S^-1. The
 [X; Y] along the unit matrices e_p e_q' and e_s e_t' is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L and
 a = R' P R. The derivative thus consists of products of entries of three small matrices.
 
-If S is nearly singular, the rounding errors of the largest terms of the Hessian would be larger than its other terms.
-Therefore, the sums omit the part of P that belongs to the smallest eigenvalues of S. Householder reflections then add the rows
-of this part to the Cholesky factor of the sums. This method keeps as many digits as the QR decomposition of all rows in
-`barrier.py`.
+If S is nearly singular, the rounding errors of the largest terms of the Hessian would be larger than the other terms.
+Therefore, the sums that form the Hessian omit the part of P that belongs to the smallest eigenvalues of S. Householder
+reflections then add the rows of the omitted part to the Cholesky factor of the Hessian. This method keeps as many digits as the
+QR decomposition of all rows in `barrier.py`.
 """
 
 import functools
@@ -208,8 +209,7 @@ class StructuredBarrier:
         return self.weight * (Z[self.rows, self.columns] + self.twice * Z[columns, rows])
 
     def _rows(self, part: Constraint, U: Array, count: int) -> Array:
-        """Returns rows as in `barrier.Barrier.at`, for the pairs of columns of U with at least one of the first `count`
-        columns.
+        """Returns rows as in `barrier.Barrier.at`, for all pairs of columns of U that contain one of the first `count` columns.
 
         The result has one column per unknown, shape (.., N).
         """
@@ -288,7 +288,7 @@ class StructuredLocal(FactoredDerivatives):
     """Derivatives of a `StructuredBarrier` at a point.
 
     Attributes:
-        barrier: barrier whose derivatives are given.
+        barrier: barrier to which the derivatives belong.
         bases: matrix U with S^-1 = U U' for every constraint, shapes (k, k).
     """
 

@@ -1,4 +1,4 @@
-"""Unknowns X, Y and eta of the LMI problems (22) and (25), and their coefficients in the matrix (24)."""
+"""Unknowns (optimisation variables) X, Y and eta of the LMI problems (22) and (25), and their coefficients in the matrix (24)."""
 
 import functools
 from typing import Any
@@ -42,28 +42,29 @@ class Basis:
 
     @property
     def plant(self) -> Plant:
-        """Plant to which the basis belongs, if there is only one."""
+        """Plant to which the basis belongs, if the basis is not for a stack of plants."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
 
     @property
     def X(self) -> Array:
-        """Coefficients of the unknowns in X, shape (N, n, n)."""
+        """Coefficient matrices of the unknowns in X, shape (N, n, n)."""
         return _units(self.n, self.m, self.free)[0]
 
     @property
     def Y(self) -> Array:
-        """Coefficients of the unknowns in Y, shape (N, m, n)."""
+        """Coefficient matrices of the unknowns in Y, shape (N, m, n)."""
         return _units(self.n, self.m, self.free)[1]
 
     @functools.cached_property
     def F(self) -> Array:
-        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); k is larger by n for a discrete
-        plant.
+        """Coefficient matrices F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); k is larger by n for a
+        discrete plant.
         """
         n, m, k = self.n, self.m, self.system.shape[-2]
-        # The product [A B; C D] [X; Y] for every unknown gives the left columns of (24). Its transpose gives the upper rows.
+        # The product [A B; C D] [X; Y] for every unknown gives the left columns of (24). The transpose of this product gives
+        # the upper rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
         F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
         F[..., :k, :n] = left
@@ -108,7 +109,7 @@ def places(n: int, m: int, free: int) -> tuple[Array, Array]:
 
 @functools.cache
 def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Returns the coefficients of the unknowns in X, shape (N, n, n), and in Y, shape (N, m, n)."""
+    """Returns the coefficient matrices of the unknowns in X, shape (N, n, n), and in Y, shape (N, m, n)."""
     rows, columns = places(n, m, free)
     units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
     units[index, rows, columns] = 1

@@ -1,10 +1,10 @@
-"""Removes stable states that are unobservable in z from the LMI problems, and adds them to the solution.
+"""Removes stable states that are unobservable in z from the LMI problems, and adds these states to the solution again.
 
 A gain F may make states unobservable in z: if the loop with u = F x starts in such a state, (C + D F) x stays 0. If these
-states decay, the X of (22) and (25) may grow along them without limit, and without an effect on the objective. The problem then
-has no central path, and the gains on these states are arbitrary. Therefore, the states are removed. The problem for the other
-states has the same optimum, and its solution gives the gain on these states. The gain on the removed states is F, which is zero
-if z weights the force separately.
+states decay, the matrix X of (22) and (25) may grow without limit along these states, without an effect on the objective. The
+problem then has no central path, and the gains on these states are arbitrary. Therefore, the states are removed. The problem
+for the remaining states has the same optimum, and its solution gives the gain on the remaining states. The gain on the removed
+states is F, which is zero if z weights the force separately.
 
 In (25), X and Y must satisfy (12). In the coordinates of [Q R], the removed space is therefore the sum of a part in Q, on which
 F is zero, and a part in R.
@@ -22,8 +22,8 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 ROUNDING = 1e-15  # relative rounding error, after a few rotations, of an entry that should be zero
-# variance that is added to the unobservable states, relative to the mean variance; a disturbance may not reach all of
-# these states
+# variance that is added to the unobservable states, relative to the mean variance; without it, states that no disturbance
+# reaches would have the variance 0
 UNDRIVEN = 1e-6
 
 
@@ -37,8 +37,8 @@ class UnobservableReduction:
         R: matrix R of the remaining plant, shape (k, q').
         Z: coordinates of the whole plant, with the remaining states first, shape (n, n).
         whole: whole plant in the coordinates Z, with the loop closed by F.
-        narrow: matrix from the coordinates that the given R spans to the coordinates that the R of the remaining plant spans,
-            shape (q', q).
+        narrow: matrix from the coordinates that R of the whole plant spans to the coordinates that R of the remaining plant
+            spans, shape (q', q).
         F: gain on the coordinates that R spans, shape (m, q).
         step: sample period of a discrete plant [s]; 0 for a continuous plant.
     """
@@ -59,8 +59,8 @@ class UnobservableReduction:
     def completed_x(self, K: Array, X: Array, eta: float) -> Array:
         """Returns an X of the whole plant from an X of the remaining plant, shape (n, n).
 
-        The result is the covariance of all states of the closed loop, for white noise with which the remaining states have the
-        covariance X.
+        The result is the covariance of all states of the closed loop, if white noise gives the remaining states the covariance
+        X.
         """
         loop, k = self._loop(K), len(X)
         A, follows, A2 = loop.A[:k, :k], loop.A[k:, :k], loop.A[k:, k:]
@@ -73,7 +73,7 @@ class UnobservableReduction:
         return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
 
     def proof(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant that proves the same bound, because its part for the removed states is large enough."""
+        """Returns an X of the whole plant that proves the same bound, with a large enough part for the removed states."""
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
         whole = inside @ self.completed_x(K, X, eta) @ inside.T

@@ -371,7 +371,7 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     """
     plant, x, u, d = _by_step(loop, outputs, drive, omega)
     turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]
-    # Relative to exp(j omega t), u[-1] is also the force during the last sample period
+    # In units of exp(j omega t), the force during the previous sample period is also u[-1]
     before = [u[-1] / turn, *(one / turn for one in u[:-1])]
     values, jumps = [], []
     for i, (state, now, last) in enumerate(zip(x, u, before, strict=True)):

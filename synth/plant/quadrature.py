@@ -17,7 +17,7 @@ from models.common.arrays import Array
 SHARE = 0.7  # length of an integration panel, relative to its distance from the nearest pole
 ORDER = 10  # number of nodes in an integration panel
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
-# Weights that give the moments with the polynomials of degrees 8 and 9
+# Weights that give the integrals of a function times the Legendre polynomials of degrees 8 and 9
 LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T
 ENOUGH = 1e-5  # allowed error estimate of an integration panel, relative to the integral
 HALVINGS = 20  # largest number of rounds in which integration panels are halved

@@ -20,7 +20,8 @@ OPEN = 1e-11
 # resolution of the base-2 logarithm of a unit; it is coarser than rounding errors, so that equal units give equal powers of two
 FINEST = 2.0**-20
 ALIKE = 1e-6  # two units count as equally undetermined if their relative difference is smaller than this
-# offset for rounding exponents; it is not 0.5, so that a unit half-way between two powers of two is not ambiguous
+# offset that is added to exponents before rounding down; it is not 0.5, so that a unit half-way between two powers of two is
+# not ambiguous
 UPWARDS = 0.53
 DEPENDENT = 1e-10  # rows of length 1 count as linearly independent if their smallest singular value is larger than this
 

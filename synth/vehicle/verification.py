@@ -27,7 +27,7 @@ from synth.design.uncertainty.worst_case import Proof, WorstNorm, stable_with_er
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
-CLOSE = 1e-3  # no other proof is tried if the bound in a band exceeds the largest gain found by less than this relative amount
+CLOSE = 1e-3  # relative gap between the bound in a band and the largest gain found, below which no other proof is tried
 ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
 TIME = Field[float]("time", float, ".4g", unit="s")
 

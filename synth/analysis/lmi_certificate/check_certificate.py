@@ -115,7 +115,7 @@ class ExactLoop:
         return free and bound > 0 and 0 < (r.square - q.square) * bound**2 <= (r @ (p["Bw"] | p["Dw"])).square
 
     def box(self, of, low, high, **claim):
-        """Returns True if one X proves a claim at all corners: factors low to high on each measurement, then each input."""
+        """Returns True if one X proves a claim at all corners of a box of factors: one per measurement, then one per input."""
         q, factors = len(self.p["Cy"].rows), product(*({*ends} for ends in zip(*(low | high).rows, strict=True)))
         loops = [ExactLoop(self.p, diagonal(f[q:]) @ self.K @ diagonal(f[:q])) for f in factors]
         kept = of in KINDS[:3] and len({loop.det > 0 for loop in loops}) == 1

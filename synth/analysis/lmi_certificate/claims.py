@@ -1,7 +1,7 @@
 """Claims of LMI certificates about upper bounds. Each claim contains an X that proves its bound in rational arithmetic.
 
-X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. Then `check_certificate.py`
-checks the claim. A claim is returned only if this check proves it.
+X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. The code of
+`check_certificate.py` then checks the claim. A claim is returned only if this check proves the claim.
 """
 
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ NOISE = (0.3, 1e-1, 1e-3)  # noise powers that `bounding_x` adds, relative to th
 EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # fractions of this noise that act on every state in `bounding_x`, tried in this order
 # relative gaps between bound and norm, tried in this order if the user gives no bound
 ABOVE = (1e-6, 1e-4, 1e-2, 0.1)
-# if the user gives no decay rate, rates below the decay rate of the slowest pole by these relative amounts are tried
+# relative amounts by which the tried rates are below the decay rate of the slowest pole, if the user gives no rate
 SLOWER = (1e-3, 1e-2, 0.1)
 
 
@@ -40,8 +40,8 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        bound: upper bound on the norm that is claimed. If it is None, a value just above the norm is used.
-        known: an X that proves the bound, if one is known, shape (n, n).
+        bound: upper bound that the claim states for the norm. If `bound` is None, a value just above the norm is used.
+        known: matrix X that proves the bound, shape (n, n); None if no such matrix is known.
     """
     plain = floats(loop, dt)
     if not stability(plain.A, dt).stable:
@@ -81,8 +81,8 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
     Args:
         loop: closed loop in rational arithmetic.
         dt: sample period [s]; None for a continuous loop.
-        rate: rate of decay [1/s]; for a discrete loop, the largest allowed |z|. If it is None, a value close to the slowest
-            pole is used.
+        rate: rate of decay [1/s]; for a discrete loop, the largest allowed |z|. If `rate` is None, a value close to the decay
+            of the slowest pole is used.
     """
     plain = floats(loop, dt)
     growth = float(stability(plain.A, dt).growth.max())
@@ -110,7 +110,7 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 
     Args:
         loop: closed loop in rational arithmetic, without feedthrough from w to z.
-        bound: upper bound on |z| that is claimed.
+        bound: upper bound that the claim states for |z|.
         X: solution of the Lyapunov inequality that proves the bound, shape (n, n).
     """
     level = decimal(np.nextafter(bound, np.inf))  # the value is rounded up, so it is not below `bound`
@@ -127,7 +127,7 @@ def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> l
 
     Args:
         loop: closed loop without gain errors, in rational arithmetic.
-        proof: box of gain errors, split into parts, with an X for each part.
+        proof: box of gain errors, split into parts, with a matrix X that proves the bound for each part.
         rate: rate of decay that the parts prove [1/s]; None if the parts prove the bound on the norm.
     """
     what = {"of": "norm", "bound": decimal(proof.bound)} if rate is None else {"of": "decay", "rate": decimal(rate)}

@@ -3,10 +3,11 @@
 A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as the static gain [D, C; B, A] of a larger plant.
 This plant has the additional states x_c' = v with the inputs v, and it measures x_c.
 
-For a discrete law of a continuous plant, the claims concern its continuous counterpart by Tustin's method. This counterpart has
-the same static gain as the discrete law, but a different plant. With a = 2 / T, the plant has the states xi' = -a xi + v and
-measures x_c = 2 a xi - v. The transfer function from v to x_c is then (a - s) / (a + s), which Tustin's method substitutes for
-1 / z. In both cases, the file thus contains the matrices of the law itself.
+For a discrete law of a continuous plant, the claims concern the continuous counterpart of the law by Tustin's method. The
+counterpart and the discrete law have the same static gain, but the larger plants differ. With a = 2 / T, the plant of the
+counterpart has the states xi' = -a xi + v and measures x_c = 2 a xi - v. The transfer function from v to x_c is then (a - s) /
+(a + s), which Tustin's method substitutes for 1 / z. For both kinds of laws, the file thus contains the matrices of the law
+itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -87,7 +88,7 @@ class Document:
         Args:
             name: name of the plant in the file.
             plant: plant with the states of the law.
-            names: names and units of the plant's signals, without the signals of the law.
+            names: names and units of the plant's signals, without the signals that the states of the law add.
         """
         law = [(f"{LAW_STATE}{i + 1}", "1") for i in range(self.law_states)]
         more = {"states": law, "measurements": law, "inputs": [(f"next_{one}", unit) for one, unit in law]}

@@ -53,7 +53,7 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest proved lower bound among gamma and some values just below it; 0 if none of them is proved."""
+    """Returns the largest lower bound that is proved, among gamma and some values just below gamma; 0 if none is proved."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
@@ -111,7 +111,7 @@ def _duals(
 def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int) -> Array | None:
     """Returns the factor W of a dual solution W W' in exact fractions, shape (n + d, k).
 
-    The entries of W that no equation fixes are rounded to at most `bits` bits.
+    The entries of W that the equations leave free are rounded to at most `bits` bits.
     """
     factors = None if side.antistable is not None else dual_factors(side, certificate)
     if factors is None:
@@ -123,7 +123,7 @@ def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int
 
 
 def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
-    """Returns the weight that X has in a dual solution, in the coordinates of the inequality and rounded to floats."""
+    """Returns the matrix V that multiplies X in a dual solution, in the coordinates of the inequality, rounded to floats."""
     n, at = len(plant.A), side.coordinates
     system, over = integers(plant.system_matrix[:, :n])
     S = _fractions(system[:, at], over)
@@ -134,7 +134,7 @@ def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
 
 
 def _normal_rows(side: SynthesisInequality) -> Array:
-    """Returns J, scaled so that it is the identity in the coordinates of the inequality."""
+    """Returns J with its rows scaled so that the columns `coordinates` of J form the identity matrix."""
     return np.array([[Fraction(x, row[at]) for x in row] for row, at in zip(side.J, side.coordinates, strict=True)], dtype=object)
 
 

@@ -23,7 +23,7 @@ def rational(value: float | Fraction) -> str:
 
 
 def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
-    """Returns a matrix of floats or rational numbers as rows of exact texts."""
+    """Returns a matrix of floats or rational numbers as rows of texts, each of which gives an entry exactly."""
     return [[rational(entry) for entry in row] for row in matrix]
 
 
@@ -33,7 +33,7 @@ def decimal(value: float) -> Fraction:
 
 
 def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
-    """Returns a number rounded to `count` significant digits: down, or in a `direction` of the module `decimal`."""
+    """Returns a number rounded to `count` significant digits, by default down; `direction` is a `decimal` rounding mode."""
     return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
@@ -43,7 +43,7 @@ def exact(matrix: Array) -> Matrix:
 
 
 def exact_loop(plant: Plant, K: Array) -> ExactLoop:
-    """Returns the loop u = K y of a plant in rational arithmetic, as the checker computes it.
+    """Returns the loop u = K y of a plant in rational arithmetic, as `check_certificate.py` computes it.
 
     Raises:
         ZeroDivisionError: the algebraic loop through the measurements has no solution.

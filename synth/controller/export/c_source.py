@@ -44,7 +44,7 @@ def literal(numbers: str, value: float) -> str:
     """Returns the shortest C literal of type "double" or "float" that a compiler reads as exactly this number."""
     own = (np.float32 if numbers == "float" else np.float64)(value)
     if not np.isfinite(own):
-        return "0.0"  # this case does not occur, because no table contains such a value
+        return "0.0"  # this case does not occur: no table contains infinity or NaN
     return np.format_float_scientific(own, unique=True, trim="0") + ("f" if numbers == "float" else "")
 
 

@@ -24,7 +24,7 @@ ABOVE = 1.01  # factor that enlarges the peak of a state, to allow for rounding
 # the largest change of a force per sample is at least this many integer units; rounding the change down then reduces it by at
 # most 6 %
 LEAST_CHANGE = 16
-# Relative size below which the rest of an impulse response is neglected, number of samples that are computed together, and
+# For impulse responses: relative size below which the rest is neglected, number of samples that are computed together, and
 # largest number of samples
 DECAYED, CHUNK, MOST_SAMPLES = 1e-9, 256, 1_000_000
 

@@ -30,7 +30,7 @@ NAMES_OF_FMI_2 = {
     "ContinuousStateDerivatives": "Derivatives",
 }  # each key is a name in FMI 3, and its value is the name in FMI 2
 # Names of Zig's compilation targets, by version of FMI and by the folder of the binary. In FMI 2, a single binary for the Mac
-# serves both processors.
+# serves both types of processors.
 TARGETS = {
     2: {
         "linux64": ("x86_64-linux-gnu.2.17",),

@@ -20,10 +20,10 @@ from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
 from synth.plant.numerics import DesignError
 
 GROWTH = 5.0  # largest gain entry if the user gives no limit, as a multiple of the largest entry of the first starting gain
-# At an end of the trade-off, the norm of the end's axis may exceed its smallest value by this relative amount, because this may
-# reduce the other norms
+# At an end of the trade-off, the norm of the end's axis may exceed its smallest value by this relative amount. The other norms
+# may then be smaller
 NEARLY = 1e-3
-TIGHTER = 1e-7  # relative amount by which the limit on this norm is tightened, to allow for rounding
+TIGHTER = 1e-7  # relative amount by which the limit on a norm is tightened, to allow for rounding
 SETTLED_STEP = 1e-7  # a descent ends if the predicted relative decrease is smaller than this
 ROUNDS = 60  # largest number of rounds of a descent
 TIMES = 6  # largest number of descents to an end of the trade-off; each descent starts where the previous one ended
@@ -185,7 +185,7 @@ def undominated_rows(values: Array) -> Array:
     """
     if not len(values):
         return np.zeros(0, dtype=bool)
-    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # True if row i is not above row j on any axis
+    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # True at [i, j] if row i exceeds row j on no axis
     alike = no_worse & no_worse.T
     better = (no_worse & ~alike) | (alike & (np.arange(len(values))[:, None] < np.arange(len(values))))
     return ~np.any(better, axis=0)

@@ -47,7 +47,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     for k in shown:
         i = front.marked[k]
         rows.append((str(i + 1), front.points[i], None if measured is None else measured[k], _gain(front.points[i])))
-    if measured is None:  # the other controllers are not simulated, so they have no values from MuJoCo
+    if measured is None:  # the other controllers have no values from MuJoCo, because they are not simulated
         rows += [(name, others[name], None, "-") for name in without_copies(others)]
     fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
     for k, axis in enumerate(front.axes):
