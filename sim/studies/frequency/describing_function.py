@@ -37,7 +37,8 @@ class DescribingFunction:
         diverged: time at which each run diverged [s], shape (F,); infinite for a run that did not diverge. A diverged run is
             not measured.
         law_diverged: True for each run that diverged only because the states of the law overflowed, shape (F,).
-        measured: complex amplitude of the fundamental per road velocity under the first wheel, shape (F, p).
+        measured: complex amplitude of each output's fundamental, divided by that of the road velocity under the first wheel,
+            shape (F, p).
         outside: share of each output's energy that is not in the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gain from w to z at each frequency, shape (F,).
         drift: largest relative change of a fundamental between consecutive periods of the lowest frequency.
@@ -76,7 +77,7 @@ def describing_function(
     """Measures the describing function of a controller, with one run for each sinusoidal road.
 
     Each run lasts three periods of the lowest frequency. During the first period, transients decay. Arguments and errors are
-    those of `sim.studies.frequency.identification.measure_responses`. In addition, the law may raise an error.
+    those of `sim.studies.frequency.identification.measure_responses`. In addition, the law may raise an error of its own.
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)
@@ -108,7 +109,8 @@ def describing_function(
 
 
 def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
-    """Returns the fundamental of each output per road velocity, and the share of its energy at other frequencies, shapes (p,).
+    """Returns the fundamental of each output, divided by that of the road velocity, and the share of its energy at other
+    frequencies, shapes (p,).
 
     Args:
         vehicle: vehicle of the run.

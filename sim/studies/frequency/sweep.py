@@ -84,7 +84,7 @@ def sweep(
     speed: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Sweep]:
-    """Measures the sweep of each linear controller.
+    """Measures the frequency response, the largest gains and the minimum tyre loads of each linear controller.
 
     Arguments and errors are those of `sim.studies.frequency.identification.measure_responses`. The callback `progress` receives
     the names of the two stages, `LINES` and `EXTREMES`.

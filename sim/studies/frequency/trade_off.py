@@ -64,7 +64,7 @@ SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
 def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
-    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if it cannot be measured.
+    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if this gain cannot be measured.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
@@ -93,7 +93,8 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
-    """Returns a frequency [rad/s] at which a norm is reached or nearly reached in MuJoCo; NaN if there is no such frequency.
+    """Returns a frequency [rad/s], not too low for a run in MuJoCo, at which the norm is (nearly) reached; NaN if there is no
+    such frequency.
 
     Args:
         vehicle: vehicle with the outputs of the norm.
@@ -115,7 +116,7 @@ class FrontStudy(Study[Document]):
     seconds = 30.0
 
     def check_page(self, scope: Subject) -> None:
-        """Checks the axes and the entry of the front."""
+        """Checks the axes of the front, and that its designs can be based on the default controller."""
         if scope.front is not None:
             axes_of(scope.vehicle, scope.front)
             entry_of(scope.vehicle, usual(scope.vehicle))
@@ -125,5 +126,5 @@ class FrontStudy(Study[Document]):
         return {} if scope.front is None else {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> Document:
-        """Returns the section of the trade-off."""
+        """Returns the report section about the trade-off."""
         return front_section(request, progress)

@@ -78,7 +78,7 @@ class Extremes:
     Attributes:
         worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
             timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
-        integrated: discrete-time norm of the loop if RK4 integrates it.
+        integrated: discrete-time norm of the loop if RK4 integrates its equations of motion.
         tried: frequency of the simulated sinusoid near the worst one [rad/s].
         predicted: gain at `tried` with all harmonics, for the timestep and for half the timestep; empty if `lti` is True.
         gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
@@ -142,7 +142,9 @@ def extremes(
 
 
 def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -> PeriodicRoad | None:
-    """Returns a road with the frequencies of the vehicle's invariants, evaluated over half of a run; None if there are none."""
+    """Returns a road with the frequencies of the vehicle's invariants, for evaluation over the second half of a run; None
+    without invariants.
+    """
     omega = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants_of(vehicle.parameters)]
     if not omega:
         return None
@@ -151,7 +153,9 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns the numbers of periods and samples as `whole_periods` does, but with a frequency close enough to a narrow peak."""
+    """Returns numbers of periods and samples as `whole_periods` does, for a frequency at which the gain is close to a narrow
+    peak.
+    """
     # The number of controller samples in the whole periods must also be an integer
     steps = steps_per_sample(vehicle.implementation, timestep)
     finest = math.ceil(FINEST / steps)

@@ -62,7 +62,7 @@ class Identification:
 
     Attributes:
         estimate: estimated parameters with their covariance.
-        intervals: 95 % interval of each free parameter that the logs determine by itself, by name.
+        intervals: 95 % interval of each free parameter that the logs determine individually (not only in a product), by name.
         causes: causes of a misfit in the residuals.
         remarks: remarks on the logs and their columns.
         mirror: parameter values of a second solution that fits equally well, by name; empty if none is known.
@@ -170,7 +170,7 @@ def identify(
 
     Args:
         logs: paths of the log files; see `sim.studies.identification.reading` for their formats.
-        vehicle: vehicle with the initial values. Everything that is not free stays unchanged.
+        vehicle: vehicle with the initial values. Parameters that are not free keep their values.
         log_map: map from columns to signals; None for logs whose headings are names of signals.
         fix: names of parameters that keep their initial values.
         free: names of further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.

@@ -85,7 +85,7 @@ class LogKeys(Section):
 
 @dataclass(frozen=True)
 class MapFile(LogKeys):
-    """Content of a map: keys for all logs, then tables."""
+    """Content of a map file: keys that apply to all logs, followed by tables."""
 
     signals: Annotated[Mapping[str, Any], AnyTable("signals by name")] = field(default_factory=dict[str, Any])
     known: Annotated[Mapping[str, Any], AnyTable("known parameters")] = field(default_factory=dict[str, Any])

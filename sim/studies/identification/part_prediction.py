@@ -36,10 +36,10 @@ class PartPrediction(LogPrediction):
     """Predicted force of a part on a dyno; see `Experiment.part`."""
 
     def part(self, vehicle: Vehicle) -> Part:
-        """Returns the experiment's part of a vehicle.
+        """Returns the part of a vehicle that an experiment measures on a dyno.
 
         Raises:
-            InputError: the vehicle does not have it.
+            InputError: the vehicle does not have this part.
         """
         return part_of(vehicle, self.experiment.part)
 
@@ -129,7 +129,7 @@ def part_of(vehicle: Vehicle, name: str) -> Part:
     """Returns the part of `[parts.NAME]`.
 
     Raises:
-        InputError: the vehicle does not have it.
+        InputError: the vehicle does not have this part.
     """
     parts = {one.name: one.part for one in vehicle.elements}
     if name not in parts:

@@ -49,7 +49,7 @@ class ChirpPlan:
 
     @property
     def worst(self) -> float:
-        """The largest relative standard deviation."""
+        """The largest relative standard deviation of any parameter."""
         return max(self.deviations.values())
 
 
@@ -71,7 +71,7 @@ def chirp(duration: float, low: float, high: float, step: float) -> Array:
 
 
 def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[ChirpPlan]:
-    """Returns chirps for all posts, sorted by their worst relative standard deviation, the best first.
+    """Returns chirps for all posts, sorted by the largest relative standard deviation of any parameter, smallest first.
 
     Different posts start at different frequencies, so that all modes of the body are excited.
 

@@ -69,7 +69,7 @@ class Estimate:
 
     @cached_property
     def noiseless(self) -> dict[str, float]:
-        """Signals that are fitted almost exactly: by name, the largest ratio of the residuals' rms to the signal's rms.
+        """Signals that are fitted almost exactly, by name: largest ratio of the residuals' rms to the signal's rms.
 
         For spectra, there are no such signals, because periodograms scatter.
         """
@@ -110,8 +110,8 @@ class Estimate:
         """Returns the value of a product of powers of parameters, and the standard deviation of its logarithm.
 
         Args:
-            powers: power of each parameter, by name. Held parameters count as known, because the product does not depend on
-                their values.
+            powers: power of each parameter, by name. Parameters held at their initial values count as known, because the
+                product does not depend on these values.
         """
         weights = np.array([powers.get(name, 0.0) for name in self.free])
         value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))
@@ -124,7 +124,9 @@ class Estimate:
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """For each free parameter, its product with powers of held parameters that the logs determine, as powers by name."""
+        """For each free parameter, the product with powers of held parameters that the logs determine, given as the power of
+        each parameter.
+        """
         return self.structure.determined(self.free)
 
 
@@ -152,9 +154,9 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
 
 
 def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the solution of a search from the initial values; None if its deviance is larger than the given one.
+    """Returns the parameter values found by a search from the initial values; None if their deviance is larger than `deviance`.
 
-    If the starting point is far from a solution, the search is not run.
+    The search is not run if its starting point is far from a solution.
     """
     of = Residuals(problem, free)
     x = first_unknowns(of)

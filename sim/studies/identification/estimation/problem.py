@@ -37,7 +37,7 @@ class IdentificationProblem:
         first: initial values of all free parameters, by name; each is above 0.
         experiments: experiments that measured the parameters.
         known: combinations that are known from elsewhere.
-        from_zero: names of the free parameters that may be zero; the unknowns of all others are logarithms.
+        from_zero: names of the free parameters that may be zero; all other parameters are represented by their logarithms.
         lowest: smallest allowed values of parameters that need a limit above 0 (such as an exponent), by name.
     """
 

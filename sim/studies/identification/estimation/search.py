@@ -34,7 +34,7 @@ class Solution:
 
 
 def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
-    """Returns the initial unknowns: the given parameters, and the starting states and offsets that fit best with them.
+    """Returns the initial unknowns: the initial parameter values, and the starting states and offsets that fit best with them.
 
     Args:
         shift: change that is added to the unknowns of the free parameters, shape (p,).

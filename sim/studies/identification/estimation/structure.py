@@ -37,7 +37,9 @@ class Structure:
     directions: tuple[Mapping[str, float], ...] = ()
 
     def determined(self, free: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Returns for each free parameter its product with held parameters that the logs determine, as powers by name."""
+        """Returns for each free parameter the product with powers of held parameters that the logs determine, as the power of
+        each parameter.
+        """
         if not self.directions:
             return {}
         own, held = (np.array([[one.get(name, 0.0) for one in self.directions] for name in names]) for names in (free, self.held))
@@ -51,7 +53,8 @@ class Structure:
 
 
 def information(R: Array, p: int) -> tuple[Array, Array]:
-    """Returns the information on the first p unknowns if all others are also unknown, and how the others compensate for them.
+    """Returns the information on the first p unknowns if all others are estimated, too, and how changes of the others
+    compensate for them.
 
     Args:
         R: derivatives of all residuals with respect to the u unknowns, or the factor R of their QR decomposition, shape (k, u).
