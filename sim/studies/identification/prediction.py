@@ -9,8 +9,8 @@ exponential for [x; v; v'] gives the exact step from sample to sample. The same 
 a delayed sensor at any time within the step.
 
 The matrices of a step are differentiated by central differences. The recursion that computes the response then also gives the
-derivatives of the response. The relative error of the derivatives is about 1e-10 for logs of any length, the same as for the
-matrices.
+derivatives of the response. The relative error of the derivatives is about 1e-10, as for the matrices, and does not grow with
+the length of the log.
 
 A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). Derivatives are then finite differences of
 responses.
@@ -54,7 +54,9 @@ class PredictedSignals:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """Matrices of a step, x[k+1] = Phi x[k] + Gamma [v; v'], and rows that give channels and rates from [x; v; v']."""
+    """Matrices of a step, x[k+1] = Phi x[k] + Gamma [v; v'], and rows that multiply [x; v; v'] to give the channels and their
+    rates.
+    """
 
     Phi: Array
     Gamma: Array
@@ -151,7 +153,7 @@ class LogPrediction:
         return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, delays))
 
     def signals(self, names: Sequence[str], values: Mapping[str, float], start: Array | None) -> Array:
-        """Returns other signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
+        """Returns the named signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
         channels = tuple(Channel(name, np.zeros(len(self.experiment.road))) for name in names)
         other = LogPrediction(replace(self.experiment, channels=channels), self._vehicle)
         return other(values, {}, start, [0.0] * len(names), False).values
@@ -258,7 +260,9 @@ def midpoints(values: Array) -> Array:
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns two sets of parameters: one parameter is increased by a step, or decreased by a step but not below zero."""
+    """Returns two sets of parameters: in the first, one parameter is larger by a step; in the second, it is smaller by the
+    step, but not below zero.
+    """
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 
 

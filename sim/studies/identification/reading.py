@@ -214,7 +214,7 @@ def _resolution(time: Array) -> float:
 
 
 def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
-    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if the heights need no offset."""
+    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if the heights have no unknown offset."""
     if keys.road == FLAT:
         return np.zeros((len(time), len(names))), True
     if keys.road in ROADS:
@@ -322,7 +322,7 @@ def runs(true: Array) -> list[tuple[int, int]]:
 
 
 def _slow(road: Array, step: float, late: float) -> list[str]:
-    """Returns a remark if most of the road's motion is too fast for the sampling.
+    """Returns a remark if most of the road's motion is too fast for the sample rate of the log.
 
     Args:
         late: largest error of the sample times [s].

@@ -1,4 +1,6 @@
-"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, value of sensors, omissions."""
+"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, benefit of sensors, omitted
+candidates.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -74,7 +76,7 @@ class Recommendation(ShownResult):
         sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no law keeps the
             limits.
         bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
-        left_out: reason for the omission of each omitted family or controller of the file, by name.
+        left_out: reason why a family of candidates or a controller of the file was omitted, by name.
         reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
         interrupted: True if the search was interrupted.
     """

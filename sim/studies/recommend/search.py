@@ -2,8 +2,8 @@
 
 The number of evaluations of a family is fixed, so the search finds the same candidates on any machine. MuJoCo simulates bump
 stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. In MuJoCo, the best
-candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated, and the ratio of used
-to expected share becomes a factor on the limit.
+candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated with a factor on this
+limit: the used share in MuJoCo, divided by the expected share.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -57,7 +57,7 @@ class Family:
     failure: str = ""
 
     def best(self, task: Task) -> tuple[Contender, Rating, Array] | None:
-        """Returns the best candidate for the present factors; None if there is no candidate."""
+        """Returns the best candidate according to the present `factors`; None if there is no candidate."""
         return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
     def weights(self, task: Task, names: Sequence[str]) -> dict[str, float]:
@@ -66,7 +66,7 @@ class Family:
         return dict(zip(names, (self.start if best is None else best[2]).tolist(), strict=True))
 
     def search(self, task: Task) -> None:
-        """Searches with the present factors. A repeated search begins at the best point found before."""
+        """Searches for the best candidate with the present `factors`. A repeated search begins at the best point found before."""
         from scipy import optimize
 
         def value(x: Array) -> float:
@@ -106,7 +106,8 @@ def optimal_family(
 
 
 def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
-    """Yields the families of a task, the cheap ones first. A family of LQG laws comes with its groups of sensors.
+    """Yields the families of a task, the cheap ones first. The second item of each pair lists the groups of sensors of a family
+    of LQG laws; for any other family, it is empty.
 
     The caller must search each family before it takes the next one, because later families begin at the best points of earlier
     families.

@@ -107,7 +107,7 @@ class Column:
         label: heading of the column.
         unit: unit in which the values are printed; empty for a number without a unit.
         scale: factor from the SI unit to the printed unit.
-        change: name of the change relative to the passive vehicle; empty for a column without changes.
+        change: name of the quantity in the column of changes relative to the passive vehicle; empty if there is no such column.
         praise: verb and object for a sentence about the best controller; empty if no sentence mentions this column.
         bars: title of the bar chart in a report; empty if the report has no bar chart for this column.
         by_side: True for travel, which is shown separately for bump and rebound if the vehicle has stops.
@@ -200,7 +200,7 @@ class Metric:
 
     @classmethod
     def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals for which the table of controllers has an additional column each."""
+        """Returns the signals that have additional columns of their own in the table of controllers."""
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
@@ -293,7 +293,8 @@ class Meter:
             loaded: True if loads act in any run; angles are then measured.
             pushed: True for each run in which loads act, N entries; None if this is the same for all runs, as given by
                 `loaded`.
-            earlier: True for the weighted metrics of earlier versions, whose window was delayed by three samples.
+            earlier: True to compute the weighted metrics as earlier versions did, with a window that was delayed by three
+                samples.
             speeds: speed of each run [m/s], N entries; None if it is unknown. Metrics per distance are then NaN.
         """
         self.late = 0 if earlier else LATE
@@ -445,7 +446,7 @@ def measure(
         first: index of the first measured sample.
         loaded: True if loads act on the body, so that its angles are measured.
         end: index of the sample after the last measured one; None for the end of the response.
-        earlier: True for the weighted metrics of earlier versions, see `Meter`.
+        earlier: True to compute the weighted metrics as earlier versions did, see `Meter`.
         speed: speed of the vehicle [m/s]; NaN if it is unknown.
     """
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier, speeds=[speed])

@@ -29,11 +29,12 @@ where s, rho and R are those of the resulting vehicle (the direct interaction ap
 Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma is a
 frequency-dependent slope between signals. The noise is a source in addition to the road. The mean force <F_i> also changes.
 
-Degrees 2 to 4 are included. Higher degrees excite frequencies that no suspension amplifies. For sharp bends, for example due to
-friction, the second order of higher degrees is too large. With all degrees, the error of ride would grow by 0.3 %, and no error
-would decrease. If e has a larger share than `SHARP` in the variance of a force, accelerations are computed from the line alone,
-with an error of up to 3 %. With the remainder, accelerations would be up to 13 % too small. Slow signals include the remainder,
-without which travel would be up to 25 % too small.
+Hermite polynomials of degrees 2 to 4 are included. Higher degrees excite frequencies that no suspension amplifies. For
+characteristics with sharp bends, for example due to friction, the second-order terms of higher degrees are too large. With all
+degrees, the error of the expected ride would grow by 0.3 %, and no other error would decrease. If e has a larger share than
+`SHARP` in the variance of a force, accelerations are computed from the line alone, with an error of up to 3 %. With the
+remainder, accelerations would be up to 13 % too small. Slow signals include the remainder, without which travel would be up to
+25 % too small.
 """
 
 import math
@@ -218,7 +219,7 @@ def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float
 
 
 def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
-    """Returns the second-order terms of the module docstring.
+    """Returns the second-order terms in the equations of the module docstring.
 
     Args:
         rho: correlations rho_ij of the arguments at T times, shape (T, e, e).

@@ -214,7 +214,7 @@ RECORD = Record[SignalSteps](
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
     """Returns the printed document about step responses.
 
-    The first table compares the runs by one signal in MuJoCo: a height, or the suspension travel if no height is available.
+    The first table compares the MuJoCo runs by one signal: a height, or the suspension travel if no height is available.
     `-v` adds a table of all signals for each run.
 
     Args:
@@ -251,6 +251,6 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
 
 
 def _columns(*names: str) -> list[Field[Any]]:
-    """Returns the columns of a table whose rows contain texts, one for each of `names`, followed by step metrics or None."""
+    """Returns the columns of a table; each row contains a text for each of `names`, followed by step metrics or None."""
     words = [Field[Any](name, lambda row, i=i: row[i]) for i, name in enumerate(names)]
     return [*words, *(replace(one, value=lambda row, one=one: row[-1] and one.value(row[-1])) for one in COLUMNS)]

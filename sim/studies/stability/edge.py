@@ -83,7 +83,9 @@ class StabilityEdge:
 
     @property
     def found(self) -> float:
-        """Stability limit for real amounts: geometric mean of `stable` and `unstable`; NaN if the runs are not decisive."""
+        """Stability limit if the amount may be any real number: geometric mean of `stable` and `unstable`; NaN if the runs are
+        not decisive.
+        """
         return math.nan if not self.decided else math.sqrt(self.stable * self.unstable)
 
     def loop(self, amount: float) -> SimulatedLoop:

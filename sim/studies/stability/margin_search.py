@@ -41,7 +41,7 @@ WITHOUT_END = 1.5
 
 @dataclass(frozen=True, eq=False)
 class GainMargin:
-    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if every factor is stable.
+    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if no factor makes the loop unstable.
 
     MuJoCo holds the force over a timestep, so it simulates a sampled loop. For small steps, the margin of the sampled loop
     approaches that of the continuous loop with an error proportional to the timestep. If these margins differ at the given
@@ -52,7 +52,7 @@ class GainMargin:
         sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
         search: search for the margin in MuJoCo at the given timestep.
         finer: search at half the timestep or less, which runs only if it is needed.
-        coarser: search at twice the step of `finer`; None if this is `search`.
+        coarser: search at twice the step of `finer`; None if `search` has this step.
     """
 
     own: float

@@ -31,7 +31,7 @@ class GridAxis:
 
 
 def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
-    """Returns the axes of one or two values of `--vary`, each in the form `name:low:high:count`.
+    """Returns the axes that one or two values of `--vary` define, each in the form `name:low:high:count`.
 
     Raises:
         InputError: the number of axes is not 1 or 2, the axes are equal, or an axis is invalid: unknown quantity, invalid

@@ -53,7 +53,7 @@ class MapRun:
 
 
 def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
-    """Returns a bump with loads on the body; the bump itself without loads."""
+    """Returns a bump with loads on the body; if there are no loads, the bump itself."""
     return RoadWithLoads(bump, loads) if loads else bump
 
 
@@ -92,7 +92,9 @@ def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Arra
 
 
 def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) -> float:
-    """Returns the largest difference of an output signal from analysis, relative to its peak; infinite if the run diverged."""
+    """Returns the largest difference of an output signal from analysis, relative to the peak of the signal; infinite if the run
+    diverged.
+    """
     apart = float(np.abs(difference(physics, analysis.only(vehicle.linear_model.outputs)).values).max())
     return math.inf if math.isnan(apart) else apart
 

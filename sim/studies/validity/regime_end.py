@@ -5,8 +5,8 @@ bump height, so one response predicts the height at which the first limit is rea
 height and a bump slightly above it. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
 two runs do not enclose the correct height, the next height follows from the largest signal of the highest run below the limit.
 
-With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at
-any height.
+If there are semi-active dampers, the analysis includes them, because at every height they cannot apply some forces of a linear
+controller.
 """
 
 import math
@@ -195,7 +195,8 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
     """Returns the next height to try [m].
 
     Args:
-        whole: ascending heights of bumps over which no limit is reached [m], each with the largest value relative to a limit.
+        whole: ascending heights of bumps over which no limit is reached [m], each with the largest signal of this bump relative
+            to its limit.
         high: lowest height at which a limit is reached [m]; infinite if there is no such height.
         within: factor between the predicted height and the heights of the two runs.
     """

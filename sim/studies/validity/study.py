@@ -1,4 +1,4 @@
-"""Studies of the validity of linear analysis: the map, and the height of a bump up to which it is valid."""
+"""Studies of the validity of linear analysis: the map, and the height of a bump up to which linear analysis is valid."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Spectra of logs from a random road: what the sensors measured, and what a vehicle predicts.
 
-The road is not measured; only its spectrum has a known form (ISO 8608). Let F be the frequency response of a vehicle from the
-random sources of the road to the q sensors. The measurements then have the one-sided spectral matrix
+The road is not measured; all that is known about it is the form of its spectrum (ISO 8608). Let F be the frequency response of
+a vehicle from the random sources of the road to the q sensors. The measurements then have the one-sided spectral matrix
 
     S(f) = F F* + 2 h diag(noise^2),
 
@@ -58,7 +58,7 @@ class Periodograms:
         segments: number of segments into which the log is divided.
         inflation: factor by which the taper reduces the information.
         kernel: spectrum of the taper at offsets of half a bin, shape (2 REACH + 1,); the sum is 1.
-        first: index of the first frequency; the spacing of the indices is one bin.
+        first: index of the first frequency, counted in bins from 0 Hz.
     """
 
     experiment: Experiment
@@ -71,7 +71,9 @@ class Periodograms:
 
     @property
     def weight(self) -> float:
-        """Effective number of independent segments, which is smaller because the taper reduces their information."""
+        """Number of independent segments with the same information; smaller than `segments`, because the taper reduces the
+        information.
+        """
         return self.segments / self.inflation
 
     @property
@@ -80,7 +82,7 @@ class Periodograms:
         return float(self.frequencies[0]) / self.first
 
     def powers(self, spectra: Array) -> Array:
-        """Returns the mean squares of the q signals with spectra at some of the frequencies, shape (q,)."""
+        """Returns the mean squares of the q signals, computed from their spectra at some of the frequencies, shape (q,)."""
         return np.real(np.einsum("kii->i", spectra)) * self.width
 
     @cached_property
@@ -101,7 +103,7 @@ class Periodograms:
         return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
 
     def expected(self, spectra: Array) -> Array:
-        """Returns the expected periodograms, shape (K, ...), of spectra on the grid, shape (J, ...)."""
+        """Returns the expected periodograms, shape (K, ...), for spectra at the frequencies of the convolution, shape (J, ...)."""
         below = self.grid[1]
         spectra[below] = spectra[below].conj()
         last = 2 * len(self.frequencies) - 1
@@ -189,7 +191,7 @@ class RoadResponse:
     Args:
         problem: identification problem with the vehicle and its parameters.
         one: experiment on a random road.
-        values: values of all parameters, including the road's.
+        values: values of all parameters, including those of the road.
         free: names of the p parameters for the derivatives.
     """
 
@@ -243,7 +245,7 @@ class RoadResponse:
 
 
 def _matrices(vehicle: Vehicle, one: Experiment) -> list[Array]:
-    """Returns A, Bv, Bd, C, Dv and Dd of `continuous_model` for the road alone."""
+    """Returns A, Bv, Bd, C, Dv and Dd of `continuous_model`, with the road as the only input."""
     A, Bv, Bd, C, Dv, Dd = continuous_model(vehicle, one)
     r = one.road.shape[1]
     return [A, Bv[:, :r], Bd[:, :r], C, Dv[:, :r], Dd[:, :r]]

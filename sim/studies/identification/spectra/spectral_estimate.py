@@ -92,7 +92,7 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
 
 
 def nearby_spectra(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the solution of a search from the initial values; None if its deviance is larger than the given one."""
+    """Returns the parameter values found by a search from the initial values; None if their deviance is larger than `deviance`."""
     of = SpectralResiduals(problem, free)
     x = search(of, with_levels(of, of.first()))
     return of.values(x) if of.deviance(x, {}) <= deviance else None
@@ -127,7 +127,7 @@ def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def with_levels(of: SpectralResiduals, x: Array) -> Array:
-    """Returns the unknowns with the roughness and noise that are most likely for the other unknowns."""
+    """Returns the unknowns, in which roughness and noise now have the values that are most likely for the other unknowns."""
     return search(of, x, of.levels, COARSE) if of.levels else x
 
 
@@ -191,7 +191,7 @@ def together(tests: Sequence[Whiteness]) -> Whiteness:
 
 
 def spectral_statement(of: Estimate) -> Statement:
-    """Returns the statement on the test of the spectra."""
+    """Returns a statement about the result of the test of the spectra."""
     if of.white:
         return Statement(
             "The spectra are as expected: vehicle, random road and noise explain all that the sensors show.", "holds"
@@ -231,7 +231,7 @@ def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
     """Tests whether ratios of periodograms to their expected values have the distribution stated in the module docstring.
 
     Args:
-        ratios: ratios of the same frequencies, each of shape (K,).
+        ratios: arrays of ratios at the same frequencies, each of shape (K,).
     """
     from scipy.special import chdtrc, gammainc, kolmogorov
 
