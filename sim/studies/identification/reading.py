@@ -214,7 +214,7 @@ def _resolution(time: Array) -> float:
 
 
 def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
-    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if the heights have no unknown offset."""
+    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if no height has an unknown offset."""
     if keys.road == FLAT:
         return np.zeros((len(time), len(names))), True
     if keys.road in ROADS:

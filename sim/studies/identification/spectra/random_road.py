@@ -103,7 +103,7 @@ class Periodograms:
         return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
 
     def expected(self, spectra: Array) -> Array:
-        """Returns the expected periodograms, shape (K, ...), for spectra at the frequencies of the convolution, shape (J, ...)."""
+        """Returns the expected periodograms, shape (K, ...), from spectra at the frequencies `grid`, shape (J, ...)."""
         below = self.grid[1]
         spectra[below] = spectra[below].conj()
         last = 2 * len(self.frequencies) - 1

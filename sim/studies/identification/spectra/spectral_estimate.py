@@ -92,7 +92,7 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
 
 
 def nearby_spectra(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the parameter values found by a search from the initial values; None if their deviance is larger than `deviance`."""
+    """Returns the parameter values found by a search from the initial values; None if their deviance exceeds `deviance`."""
     of = SpectralResiduals(problem, free)
     x = search(of, with_levels(of, of.first()))
     return of.values(x) if of.deviance(x, {}) <= deviance else None
