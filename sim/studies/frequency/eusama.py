@@ -37,7 +37,7 @@ from synth.controller.controller import Controller
 STROKE = 3e-3  # m, amplitude with which the test plate moves
 # lowest frequency to evaluate [Hz], below which the wheel follows the test plate; number of frequencies to evaluate
 LOWEST, GRID = 0.3, 600
-WINDOW = 4.0  # s, approximate duration of the whole periods at the end of a run to which sinusoids are fitted
+WINDOW = 4.0  # s, approximate duration of the evaluated end of a run, to which sinusoids are fitted
 # Largest relative effect of the body's rotation on a tyre deflection; a height of 3 mm under one wheel of a car causes only
 # 1e-5
 TURNING_SHARE = 1e-3

@@ -41,7 +41,8 @@ PATIENCE = 10.0
 # s, smallest length of the evaluated end of a run; over this length, a fit separates slow free motion from the lines
 TOLD_APART = 5.0
 ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in a single batch would take gigabytes
-# Smallest number of samples in the whole periods; it keeps the frequency within 0.03 % of the requested one
+# Smallest number of evaluated samples, which contain an integer number of periods; the frequency is then within 0.03 % of the
+# requested one
 FINEST = 2000
 
 

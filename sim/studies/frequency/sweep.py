@@ -24,10 +24,10 @@ from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Relative difference of a response that body rotations may cause, in addition to the known error of RK4. On roads of 0.1 mm,
-# rotations cause only 3e-7.
+# rotations cause a relative difference of only 3e-7.
 TOLERANCE = 1e-4
-# Height of the lower road relative to the original road, and smallest height [m]. Body rotations cause smaller differences on a
-# lower road.
+# Height of the lower road relative to the requested road, and smallest height [m]. Body rotations cause smaller differences on
+# a lower road.
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6
 ABOVE = 1e-5  # relative amount by which a gain may exceed the norm, because of remaining free motion
 NORM_TOLERANCE = 1e-3  # relative amount by which a gain may be below the norm

@@ -156,7 +156,7 @@ def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, tim
     """Returns numbers of periods and samples as `whole_periods` does, for a frequency at which the gain is close to a narrow
     peak.
     """
-    # The number of controller samples in the whole periods must also be an integer
+    # The evaluated periods must also contain an integer number of controller samples
     steps = steps_per_sample(vehicle.implementation, timestep)
     finest = math.ceil(FINEST / steps)
     periods, count = whole_periods(worst.omega, timestep * steps, finest)

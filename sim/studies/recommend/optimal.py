@@ -1,8 +1,8 @@
 """Optimal control laws for a vehicle's sensors: LQG, H-infinity (full order, fixed order, static), and preview.
 
-    The plant is the linear vehicle with a lag at the forces. The time constant of the lag approximates actuator, delay and
-    hold: 1 / bandwidth + (delay + 1/2) sample periods. The road velocity is white noise with the intensity of the road.
-    Vertical accelerations of the ride points are filtered by W_k.
+The plant is the linear vehicle with a lag at the forces. The time constant of the lag approximates actuator, delay and hold: 1
+/ bandwidth + (delay + 1/2) sample periods. The road velocity is white noise with the intensity of the road. Vertical
+accelerations of the ride points are filtered by W_k.
 
 Weights are given as powers of e relative to typical values, so the search needs no units. The typical value of a weight is the
 passive vehicle's rms acceleration, divided by a third of the range of the weighted signal. This range is the stroke, the static

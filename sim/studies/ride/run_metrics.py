@@ -39,7 +39,7 @@ from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
-NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by a larger share
+NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by a larger share than this
 SETTLED = 0.1  # no remark is needed if the relative distance of a variance from its final value is smaller than this
 NO_ANGLE = 1e-9  # deg; a smaller angle is a rounding error if symmetry keeps the angle at zero
 

@@ -58,7 +58,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
         if count < 2:
             raise InputError(f"--vary {text}: {count} points are too few; give 2 or more, or one value with --{name}")
-        if count > MOST_CELLS // 2:  # half the largest number of cells, because a second axis would have at least 2 points
+        if count > MOST_CELLS // 2:  # half the largest number of cells of a map, because the other axis has at least 2 points
             raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:

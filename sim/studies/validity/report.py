@@ -241,7 +241,8 @@ def envelope_figure(cells: Cells) -> Figure:
     vehicle, axes = cells.vehicle, cells.axes
     if len(axes) == 1:
         return _line_figure(cells, axes[0])
-    # The height is on the vertical axis, whatever the order of the options; if the height does not vary, the length is.
+    # The height is on the vertical axis, whatever the order of the options; if the height does not vary, the length is on this
+    # axis.
     shape = (len(axes[0].values), len(axes[1].values))
     turned = axes[1].name == "height" or axes[0].name == "speed"
     vertical, horizontal = (axes[1], axes[0]) if turned else (axes[0], axes[1])

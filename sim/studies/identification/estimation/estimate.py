@@ -183,7 +183,7 @@ def _estimate(of: Residuals, solution: Solution, structure: Structure) -> Estima
             columns = of.channel_columns(x, noise, i, channel) * np.isfinite(scaled)[:, None]
             middle += autoregressive(scaled).sandwich(np.nan_to_num(columns[:, :p] - columns[:, p:] @ C))
     middle += exact.T @ exact
-    # derivative of the logarithm of each parameter with respect to its unknown
+    # derivative of the logarithm of each parameter with respect to the unknown that represents it
     slopes = np.array([size / max(values[name], 1e-9 * size) for name, size in of.sizes(values).items()])
     return Estimate(
         of.problem,

@@ -17,7 +17,7 @@ from sim.studies.identification.estimation.search import CHI2, NORMAL, lower_lim
 
 STRIDE = 1.5  # largest step of a parameter's logarithm; it changes the parameter by a factor of 4.5
 ROUNDS, MOST = 2, 8  # largest number of rounds of the search for a point, and of evaluations in each round
-FINE = 1e-2  # accuracy of the end of an interval, relative to the last step
+FINE = 1e-2  # tolerance for the end of a confidence interval, as a fraction of the last step
 REFINED = 6  # largest number of points within the last step
 
 
