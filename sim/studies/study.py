@@ -51,7 +51,7 @@ class Study(Generic[R]):
 
     Attributes:
         name: name of the study in the registry `STUDIES`.
-        description, epilog: texts of `--help`. The epilog contains exit codes and examples.
+        description, epilog: texts that `--help` prints. The epilog contains exit codes and examples.
         page: documentation page that explains the printed output.
         takes: "one" if the command needs one linear controller, "several" if it accepts any controllers, "" if it uses no
             vehicle.

@@ -79,7 +79,7 @@ SHARE_OF_LOAD = Field[float]("share of the load", lambda one: one, ".5f")
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
-    """Predicts and measures the minimum load of all wheels.
+    """Predicts the minimum load of each wheel, and measures it in MuJoCo.
 
     Args:
         vehicle: vehicle that the controllers control.
@@ -143,7 +143,7 @@ class Plate(Road):
         return {"type": "plate", "wheel": self.wheel, "omega": self.omega, "stroke": self.stroke}
 
     def scaled(self, factor: float) -> "Plate":
-        """Returns a plate with the amplitude multiplied by a factor."""
+        """Returns the plate with its amplitude multiplied by a factor."""
         return replace(self, stroke=factor * self.stroke)
 
 

@@ -33,7 +33,7 @@ from synth.controller.loop_of import loop_of, radius
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
-    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; the norms are over time and all wheels.
+    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; the norms include all times and all wheels.
 
     Returns None if the road has a filter, because w is then unknown.
     """
@@ -193,7 +193,8 @@ def ideal_measurements(vehicle: Vehicle) -> Vehicle:
 def measure_responses(
     vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed
 ) -> list[Lines]:
-    """Measures the frequency responses of controllers in MuJoCo, from the last period of a road that repeats a chirp.
+    """Measures the frequency responses of controllers in MuJoCo, from the last period of a run over a road that repeats a
+    chirp.
 
     Args:
         vehicle: vehicle; noise and quantisation of its `[implementation]` are omitted.

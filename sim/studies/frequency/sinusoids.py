@@ -178,7 +178,7 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
 
 def _read(loop: Loop, slow: Array, samples: int) -> int:
-    """Returns the number of evaluated samples if the signals themselves are used; slow modes require more samples."""
+    """Returns the number of samples that are evaluated if the signals are used without a fit; slow modes require more samples."""
     return max(samples, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(slow) else samples
 
 
@@ -245,7 +245,8 @@ def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
 
 
 def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
-    """Returns the settling time over a periodic road [s], and the discrete poles of the motion that remains after this time.
+    """Returns the settling time over a periodic road [s], and the discrete-time poles of the motion that remains after this
+    time.
 
     Args:
         loop: loop of the vehicle that drives over the road.
@@ -272,7 +273,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
 
 
 def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Array) -> Response:
-    """Returns the end of a run over a periodic road without its mean and its slowest modes, which are fitted by least squares.
+    """Returns the end of a run over a periodic road, minus its mean and its slowest modes, which are fitted by least squares.
 
     From one sample to the next, the phase of each line advances by an angle, and each mode is multiplied by its pole. Over many
     samples, a decaying mode and a line differ clearly.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Result of the study.
+    """Results of the study.
 
     Attributes:
         lines: frequency responses of the linear controllers.

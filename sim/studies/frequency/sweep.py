@@ -184,8 +184,8 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
     Args:
         road: name of the road whose gain is checked.
         gains: measured gain over each road, by name of the road.
-        what: name of the reference value in the text.
-        value: reference value, which the text states.
+        what: name of the reference value, for the text.
+        value: reference value; the text contains it.
         low, high: smallest and largest allowed gain.
     """
     if low <= gains[road] <= high:

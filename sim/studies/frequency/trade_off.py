@@ -1,4 +1,4 @@
-"""The section of a report about a trade-off: the front, its proved lower bound, and gains of some designs in MuJoCo."""
+"""The report section about a trade-off: the front of designs, the proved lower bound, and the gains of some designs in MuJoCo."""
 
 import math
 from collections.abc import Callable, Mapping

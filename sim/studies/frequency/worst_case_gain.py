@@ -79,7 +79,7 @@ class Extremes:
         worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
             timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
         integrated: discrete-time norm of the loop if RK4 integrates its equations of motion.
-        tried: frequency of the simulated sinusoid near the worst one [rad/s].
+        tried: frequency of the simulated sinusoid, which is near the worst one [rad/s].
         predicted: gain at `tried` with all harmonics, for the timestep and for half the timestep; empty if `lti` is True.
         gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
         invariants: transmissibilities of this vehicle that no suspension force can change.
@@ -170,7 +170,7 @@ def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, tim
 
 
 def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
-    """Returns the invariants of a vehicle, measured at the end of a run over the road of `_invariants`."""
+    """Returns the invariant transmissibilities of a vehicle, measured at the end of a run over the road of `_invariants`."""
     p, kind = run.vehicle.parameters, run.vehicle.kind
     lines = run.lines(with_images=True)
     road = lines[kind.wheels[0].road_displacement]

@@ -151,7 +151,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
     """Returns a function that computes a metric of a signal's step response in the continuous loop.
 
     Args:
-        key: name of the step-response metric, one of `OF_A_STEP`.
+        key: name of the step-response metric, a key of `OF_A_STEP`.
     """
 
     def found(designer: Designer, one: PrintedNumber) -> float:

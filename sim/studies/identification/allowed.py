@@ -35,7 +35,7 @@ def allowed_vehicles(of: Identification) -> list[Vehicle]:
 
 
 def allowed_results(of: Identification, names: Sequence[str] = ()) -> list[AllowedResult]:
-    """Returns the results of controllers over the vehicles that are consistent with the logs.
+    """Returns the bounds, margins and ride of controllers over the vehicles that are consistent with the logs.
 
     Args:
         names: names of controllers with a linear law; by default all controllers of the vehicle file with a linear law, except

@@ -45,7 +45,7 @@ NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """A column that seems to contain a signal.
+    """A column of a log that seems to contain a signal of the vehicle.
 
     Attributes:
         signal: name of the signal that the column seems to contain.

@@ -139,7 +139,9 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields for each possible cause a function that describes its size, and the change of all residuals per unit of size."""
+    """Yields a pair for each possible cause: a function that describes its size, and the change of all residuals per unit of
+    size.
+    """
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]
@@ -186,7 +188,7 @@ def _gain_words(signal: str, coefficient: float) -> str:
 
 
 def _lag(of: Estimate, signal: str) -> float:
-    """Returns the delay [s] at which a measured signal correlates best with the predicted one, interpolated by a parabola."""
+    """Returns the delay [s] at which a measured signal correlates best with the predicted signal, interpolated by a parabola."""
     total, step = np.zeros(2 * LAGS + 1), of.problem.experiments[0].step
     for one, predicted in zip(of.problem.experiments, of.predicted, strict=True):
         if signal not in one.signals or one.step != step or len(predicted) <= 4 * LAGS:

@@ -93,9 +93,9 @@ class Identification:
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other parameter values. If a table replaces a parameter, the table is scaled to the new value.
+    """Returns the vehicle with changed parameter values. If a table replaces a parameter, the table is scaled to the new value.
 
-    Values of a random road are ignored.
+    Parameters of a random road are ignored.
     """
     values = {name: value for name, value in values.items() if name not in ROAD_UNITS}
     optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
@@ -116,8 +116,9 @@ def free_parameters(
     Args:
         fix: names of parameters that keep their values.
         free: names of further free parameters; a damping that is zero in the file starts at a small value.
-        parts: names of the parts whose logs are given; the empty name stands for logs of the vehicle. All numbers of a part on a
-            dyno are free except voltages and bandwidths. If all logs are of parts, the parameters of the vehicle are not free.
+        parts: names of the parts whose logs are given; the empty name stands for logs of the vehicle. All numbers of a part on
+            a dyno are estimated, except voltages and bandwidths. If all logs are of parts, no parameters of the vehicle are
+            estimated.
 
     Raises:
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.

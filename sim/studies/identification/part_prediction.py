@@ -126,7 +126,7 @@ def _solve(bands: Array, right: Array, n: int) -> Array:
 
 
 def part_of(vehicle: Vehicle, name: str) -> Part:
-    """Returns the part of `[parts.NAME]`.
+    """Returns the part that the section `[parts.NAME]` defines.
 
     Raises:
         InputError: the vehicle does not have this part.

@@ -101,7 +101,7 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
 
 
 def _loads(vehicle: Vehicle, road: Array) -> float:
-    """Returns the largest ratio of tyre motion to static compression, or of suspension motion to travel, on this road."""
+    """Returns the largest ratio of tyre motion to static compression, or of suspension motion to available travel, on a road."""
     limits = {name: abs(one) for name, one in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()}
     limits |= {place.deflection: TRAVEL for place in vehicle.kind.suspensions}
     names = [name for name in limits if name in vehicle.linear_model.outputs]

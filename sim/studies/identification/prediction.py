@@ -125,7 +125,8 @@ class LogPrediction:
 
         Args:
             values: values of all parameters [SI].
-            free: typical size of each of the p parameters with respect to which the signals are differentiated, by name.
+            free: names of the p parameters with respect to which the signals are differentiated, each with a typical size of
+                the parameter.
             start: state of the vehicle at the start, shape (n,); None for equilibrium.
             delays: delay of the sensor of each channel [s].
             derivatives: False if derivatives are not needed; they are then empty or zero.
@@ -248,7 +249,7 @@ class LogPrediction:
 
 
 def padded(values: Array) -> Array:
-    """Returns the values extended by one sample before and two after, by point reflection at the ends, shape (T + 3, r)."""
+    """Returns the values with one additional sample before and two after, by point reflection at the ends, shape (T + 3, r)."""
     return np.pad(values, ((1, 2), (0, 0)), mode="reflect", reflect_type="odd")
 
 

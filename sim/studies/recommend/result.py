@@ -91,7 +91,7 @@ class Recommendation(ShownResult):
 
     @property
     def passive(self) -> RankedContender | None:
-        """The row of the unchanged passive vehicle."""
+        """The table row of the unchanged passive vehicle."""
         return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
 
     @property

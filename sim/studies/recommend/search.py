@@ -44,7 +44,7 @@ class Family:
         build: function that returns the candidate for a point of the search.
         evaluations: number of points that a search evaluates.
         factors: ratio of the used share in MuJoCo to the expected used share, by name of the limit.
-        rated: stable candidates, each with its rating and point.
+        rated: candidates with a stable loop, each with its rating and its point of the search.
         failure: reason why the last failed candidate could not be designed; empty if none failed.
     """
 
@@ -109,8 +109,8 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
     """Yields the families of a task, the cheap ones first. The second item of each pair lists the groups of sensors of a family
     of LQG laws; for any other family, it is empty.
 
-    The caller must search each family before it takes the next one, because later families begin at the best points of earlier
-    families.
+    The caller must search each family before it requests the next one, because later families begin at the best points of
+    earlier families.
     """
     yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x.tolist()), 14), ()
     yield Family("damper, spring", np.zeros(2), lambda x: changed_passive(task, "damper, spring", x.tolist()), 30), ()

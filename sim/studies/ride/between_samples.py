@@ -129,7 +129,7 @@ class Pieces:
         return self.time(last, max(crossings, default=1.0))
 
     def integral_of_size(self) -> tuple[float, float]:
-        """Returns the integrals of the magnitude |x|, and of the product t |x| with time t, over all pieces."""
+        """Returns two integrals over all pieces: of the magnitude |x|, and of the product t |x| with the time t."""
         points = self.values.shape[1]
         weights, lengths = _integral(points) / 2, self.length[:, None]
         at = self.start[:, None] + lengths * (np.linspace(-1, 1, points) + 1) / 2
@@ -228,7 +228,7 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
 
 
 def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
-    """Returns pieces that are divided at jumps of the signal. Each polynomial uses only points on one side of a jump.
+    """Returns the pieces, divided at jumps of the signal. Each polynomial uses only points on one side of a jump.
 
     Args:
         pieces: pieces of the signal. A point at the time of a jump has the value before the jump.

@@ -179,7 +179,7 @@ class ExpectedMetrics:
         mean: expected value, by metric. For an rms, this is the root of the expected mean square; for the VDV, the fourth root of
             the expected integral. The mean of an rms over roads is lower than this value by half the relative variance of the
             rms. The mean of a VDV is lower by 1.5 times its relative variance.
-        spread: standard deviation of each rms metric from road to road, by metric.
+        spread: standard deviation of each rms metric between random roads, by metric.
         error: upper estimate of the relative error of the integrals, which is reported if it exceeds `EXACT`.
         line: linear vehicle from which the expected values are computed (`statistical_linearisation.py`).
     """

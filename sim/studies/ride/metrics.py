@@ -195,7 +195,7 @@ class Metric:
 
     @classmethod
     def compared(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that are compared; the worst of them represents the vehicle. By default, all signals."""
+        """Returns the signals that are compared; the worst of these signals represents the vehicle. By default, all signals."""
         return cls.sources(vehicle)
 
     @classmethod

@@ -292,7 +292,9 @@ def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
 
 
 def roughness_sentence(run: Run) -> str:
-    """Returns a sentence with the IRIs of the driven part of a road, or the reason why it has none; empty for a flat road."""
+    """Returns a sentence with the IRIs of the driven part of a road, or the reason why the road has no IRI; empty for a flat
+    road.
+    """
     known = driven_roughness(run.vehicle, run.road, run.prediction.time)
     if not any(one.iri or one.expected for one in known):  # on a flat road, the IRI is 0
         return why_none(run.road)

@@ -81,7 +81,7 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def with_faults(scores: Iterable[Score], vehicle: Vehicle, controllers: Iterable[AnyController]) -> list[Score]:
-    """Returns the rows of a vehicle, with the fault of each controller filled in."""
+    """Returns the rows of a vehicle, with the field `fault` filled in for each controller."""
     faults = {one.name: law_fault(vehicle, one) for one in controllers}
     return [replace(one, fault=faults.get(one.controller, "")) for one in scores]
 

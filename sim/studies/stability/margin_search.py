@@ -242,7 +242,7 @@ def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
-    """Returns True if a margin agrees with its prediction within a tolerance. NaN (undecided) agrees with everything."""
+    """Returns True if a margin agrees with its prediction within a tolerance. NaN (undecided) counts as agreement."""
     return predicted == measured or math.isnan(measured) or abs(predicted - measured) <= within < math.inf
 
 

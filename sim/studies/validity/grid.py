@@ -73,7 +73,7 @@ def grid(axes: Sequence[GridAxis], fixed: dict[str, float]) -> list[Bump]:
     """Returns the bumps of all cells. The last axis changes fastest.
 
     Args:
-        axes: axes of the map.
+        axes: axes of the map of validity.
         fixed: value of each quantity that is not an axis, by name: height [m], length [m] or speed [m/s].
     """
     names = [axis.name for axis in axes]

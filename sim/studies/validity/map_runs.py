@@ -69,7 +69,9 @@ def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road
 
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
-    """Returns the response of each controller over its own road by analysis. Nonlinear responses are computed simultaneously."""
+    """Returns the response of each controller over its own road, computed by analysis. Nonlinear responses are computed
+    simultaneously.
+    """
     bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(one, vehicle)]
     responses = dict[int, Response]()
     for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):

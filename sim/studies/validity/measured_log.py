@@ -293,7 +293,7 @@ def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]
     total, opposite = np.zeros(len(at) + len(grid) - 1), list[str]()
 
     def sums(values: Array, weights: Array) -> Array:
-        """Returns the sum of products of two signals for each shift in time between them."""
+        """Returns, for each shift in time between two signals, the sum of the products of their values."""
         return np.asarray(correlate(values, weights, mode="full", method="fft"))
 
     for name in (name for name in log.signals if name in run.names):

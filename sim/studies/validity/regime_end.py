@@ -107,7 +107,7 @@ def enclose_ends(
 
     Args:
         vehicle: vehicle that the controllers control.
-        controllers: N controllers, one for each bump.
+        controllers: N controllers, one for each of the bumps.
         bumps: N bumps with the lengths and speeds to study; the responses over them predict the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.

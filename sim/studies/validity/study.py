@@ -86,8 +86,8 @@ class EnvelopeStudy(EnvelopeCommand):
     def runs(self, request: StudyRequest, result: Cells) -> dict[str, Run]:
         """Simulates some cells of the map, and returns the runs by name.
 
-        For each limit, the simulated cell is the one that exceeds the limit least. One more simulated cell comes closest to a
-        limit without reaching it.
+        For each limit, the simulated cell is the one that exceeds this limit by the least amount. One further simulated cell is
+        the one that comes closest to a limit without reaching it.
         """
         time = sample_times(request.vehicle, request.options.duration, request.options.timestep)
         nearest, used = {}, result.used.max(axis=-1)

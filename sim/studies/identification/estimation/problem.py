@@ -1,4 +1,6 @@
-"""Problem of an identification: the parameters to identify, the experiments that measured them, and known combinations."""
+"""Problem of an identification: the parameters to identify, the experiments that measured them, and known combinations of
+parameters.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +14,7 @@ from sim.studies.identification.prediction import LogPrediction
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A combination of parameters that is known from elsewhere: a corner weight, or a weighed mass.
+    """A combination of parameters whose value is known from elsewhere, such as a corner weight or a weighed mass.
 
     Attributes:
         name: name of the combination in reports.
@@ -36,7 +38,7 @@ class IdentificationProblem:
         change: function that returns the vehicle with other values of some parameters.
         first: initial values of all free parameters, by name; each is above 0.
         experiments: experiments that measured the parameters.
-        known: combinations that are known from elsewhere.
+        known: combinations of parameters whose values are known from elsewhere.
         from_zero: names of the free parameters that may be zero; all other parameters are represented by their logarithms.
         lowest: smallest allowed values of parameters that need a limit above 0 (such as an exponent), by name.
     """

@@ -1,8 +1,9 @@
 """Confidence interval of a parameter by profile likelihood, for intervals that are wide, one-sided or not symmetric.
 
 The profile is the deviance as a function of one parameter, minimised over all other unknowns. Points of the profile are computed
-in steps from the estimate outwards. Each point starts from the previous one, moved along the tangent of the curve of minima.
-The square root of the deviance's rise is almost linear in the parameter, so a few more points give the end of the interval.
+in steps from the estimate outwards. Each point is computed from the previous one, which is first moved along the tangent of the
+curve of minima. The square root of the deviance's rise is almost linear in the parameter, so a few more points give the end of
+the interval.
 """
 
 import math

@@ -103,7 +103,7 @@ class Residuals:
         return [one.values - measured for one, measured in zip(self.predicted(x), self.measured, strict=True)]
 
     def channels(self, x: Array) -> Iterator[tuple[Channel, Array]]:
-        """Yields all channels of all experiments, each with its differences without missing values."""
+        """Yields all channels of all experiments, each with its predicted minus measured values, without missing values."""
         for one, difference in zip(self.problem.experiments, self.differences(x), strict=True):
             for channel, values in zip(one.channels, difference.T, strict=True):
                 yield channel, values[np.isfinite(values)]

@@ -54,7 +54,8 @@ def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
 
 
 def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among: Sequence[int] | None = None) -> Solution:
-    """Returns the solution of largest likelihood near x. Unknowns and noise are estimated alternately.
+    """Returns the solution with the largest likelihood that a search from x finds. Unknowns and noise are estimated
+    alternately.
 
     Args:
         rounds: largest number of rounds, in which unknowns and noise are estimated alternately.

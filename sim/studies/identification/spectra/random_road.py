@@ -10,8 +10,9 @@ for the sample time h. F contains the delays of the wheels, so front and rear wh
 Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w
 that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value
 E, which is the convolution of S with the spectrum of the taper. Comparing periodograms with E instead of S removes the bias due
-to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies count as independent.
-The taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate Anal. 27, 55-83).
+to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies are treated as
+independent. The taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate
+Anal. 27, 55-83).
 """
 
 import itertools

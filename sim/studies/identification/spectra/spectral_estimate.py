@@ -164,7 +164,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
 
 
 def spectral_tests(of: SpectralResiduals, x: Array) -> list[dict[str, Whiteness]]:
-    """Returns for each experiment the test of each signal; see the module docstring."""
+    """Returns for each experiment the test result of each signal; see the module docstring."""
     each = list[dict[str, Whiteness]]()
     for one in of.problem.experiments:
         own = [(spectra, E) for spectra, E in zip(of.spectra, of.expected(x), strict=True) if spectra.experiment is one]

@@ -176,8 +176,9 @@ class SpectralResiduals(Residuals):
     def fits(self, x: Array) -> list[dict[str, float]]:
         """Returns for each experiment the fit of the spectrum of each signal.
 
-        The fit is 1 minus the relative difference between measured and expected rms in bands of frequencies. The difference is a
-        root mean square over all bands. The part of the difference that the scatter of a random road causes is subtracted.
+        The fit is 1 minus the relative difference between the measured and the expected rms in bands of frequencies. The
+        difference is a root mean square over all bands. The part of the difference that the scatter of a random road causes is
+        subtracted.
         """
         fits = list[dict[str, float]]()
         for one in self.problem.experiments:
