@@ -85,7 +85,7 @@ class Study(Generic[R]):
         """Returns the vehicle to study.
 
         Args:
-            given: vehicle that the vehicle file describes.
+            given: vehicle as the vehicle file describes it.
             names: names of the requested controllers.
         """
         return given.with_common_actuators(names)

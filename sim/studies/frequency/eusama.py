@@ -161,7 +161,7 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
     """Returns the amplitude of a tyre deflection relative to the amplitude of the plate under the same wheel, for each
     frequency.
 
-    For a tyre with damping, the equivalent deflection is the one at which its stiffness alone would cause the total tyre force.
+    For a tyre with damping, the equivalent deflection is the one at which the tyre stiffness alone would cause the total force.
 
     Args:
         vehicle: vehicle that the controller controls.

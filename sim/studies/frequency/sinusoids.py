@@ -1,10 +1,10 @@
 """Runs over periodic roads: how long they last, and how an integer number of periods at their end is evaluated.
 
 A *line* is one of the frequencies of the road. A run starts from equilibrium, so the response begins with a transient (free
-motion), which takes a minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only its
-size is unknown. A least-squares fit of the last periods therefore contains a sine and a cosine at each line, and the decaying
-shapes of the free motion. The fit cannot hide a wrong frequency response, because no decaying motion resembles a line over a
-whole period.
+motion), which takes a minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only the
+size of the free motion is unknown. A least-squares fit of the last periods therefore contains a sine and a cosine at each line,
+and the decaying shapes of the free motion. The fit cannot hide a wrong frequency response, because no decaying motion resembles
+a line over a whole period.
 """
 
 import math
@@ -160,10 +160,10 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
     - If lines are fitted, the remaining free motion is fitted, too. The number of samples before the evaluated samples is then
       equal to that of the evaluated samples.
     - If the controller's sample period is longer than the timestep, there are additional lines, which resemble free motion.
-      Free motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same applies
+      Free motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same is true
       if the signals are used without a fit.
     - The free motion of a nonlinear law is unknown. The number of samples before the evaluated samples is then twice that of
-      the evaluated samples. The second half of them shows whether the run has settled.
+      the evaluated samples. The second half of these preceding samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:

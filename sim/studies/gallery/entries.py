@@ -99,7 +99,7 @@ class PrintedNumber(Section):
 
 @dataclass(frozen=True)
 class MissingNumber(Section):
-    """A published number that cannot be compared, because no vehicle file can express its model."""
+    """A published number that cannot be compared, because no vehicle file can express the model of the source."""
 
     what: Annotated[str, Text("description of the number")]
     why: Annotated[str, Text("reason for the missing number, in a line")]
@@ -134,7 +134,7 @@ def names() -> list[str]:
 
 
 def read_entry(name: str) -> Entry:
-    """Returns an entry by its name.
+    """Returns the entry with this name.
 
     Raises:
         InputError: the entry does not exist, or its file has an unknown key.

@@ -1,10 +1,10 @@
 """Diagnosis of a misfit: a delay, a wrong factor, sign or offset, friction, tyre damping, lift-off, or a resonance.
 
-Each cause changes the predicted signals in a known direction g. From g, the part is removed that could also result from a
-change of the unknowns (such as the parameters). The rest of g is fitted to the residuals by least squares, which gives the size
-of the cause. The share of a cause is the part of the residuals' sum of squares that it explains. This share is the score
-(Lagrange multiplier) statistic of one more parameter, divided by the number of residuals. The cause with the largest statistic
-is taken first. The other causes are then tested again on the residuals that this cause does not explain.
+Each cause changes the predicted signals in a known direction g. The part of g that a change of the unknowns (such as the
+parameters) could also produce is removed. The rest of g is fitted to the residuals by least squares, which gives the size of
+the cause. The share of a cause is the part of the residuals' sum of squares that it explains. This share is the score (Lagrange
+multiplier) statistic of one more parameter, divided by the number of residuals. The cause with the largest statistic is taken
+first. The other causes are then tested again on the residuals that this cause does not explain.
 
 Friction builds up over a displacement (Dahl model). Several displacements are tried, and the best one is used: a short
 displacement alone does not detect friction that small motion fails to overcome.

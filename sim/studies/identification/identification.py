@@ -88,7 +88,7 @@ class Identification:
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Free parameters that the logs determine by themselves, rather than only in a product."""
+        """Free parameters that the logs determine individually, rather than only in a product."""
         return tuple(self.intervals)
 
 
@@ -179,7 +179,7 @@ def identify(
         seed: random seed from which further starting points are drawn.
 
     Raises:
-        InputError: a file is wrong, a column seems to have another unit or sign, or the logs determine no parameter.
+        InputError: a file is wrong, a column seems to have the wrong unit or sign, or the logs determine no parameter.
     """
     own = log_map if isinstance(log_map, LogMap) else read_map(log_map, vehicle)
     named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))

@@ -6,7 +6,7 @@ v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
     z[k+1] - z[k] = h/2 (f[k] + f[k+1])
 
 on fine steps h is solved for all steps simultaneously by Newton's method. Each equation contains two consecutive steps only, so
-the matrix is banded. The same matrix gives the derivatives of z with respect to the part's numbers and to z[0].
+the matrix is banded. The same matrix also gives the derivatives of z with respect to the part's numbers and to z[0].
 """
 
 import math

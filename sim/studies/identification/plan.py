@@ -31,7 +31,7 @@ APART = 0.3  # relative difference between the frequencies at which two posts st
 
 @dataclass(frozen=True)
 class ChirpPlan:
-    """A chirp, and the accuracy with which it determines the parameters.
+    """A chirp, and the predicted accuracy of the parameters that it would determine.
 
     Attributes:
         duration: length of the chirp [s].

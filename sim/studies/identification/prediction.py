@@ -89,7 +89,7 @@ class LogPrediction:
 
     @cached_property
     def _inputs(self) -> tuple[Array, Array]:
-        """Inputs and their rates over the step after each sample, and at each sample, each of shape (T, 2 v).
+        """Inputs and their rates, over the step after each sample and at each sample, each of shape (T, 2 v).
 
         The rate at a sample is the mean of the rates before and after. This mean is the true rate if the road is smooth.
         """
@@ -129,7 +129,7 @@ class LogPrediction:
                 the parameter.
             start: state of the vehicle at the start, shape (n,); None for equilibrium.
             delays: delay of the sensor of each channel [s].
-            derivatives: False if derivatives are not needed; they are then empty or zero.
+            derivatives: False if derivatives are not needed; the result then contains empty or zero derivatives.
         """
         if self.vehicle(values).parts.nonlinear:
             return self._stepped(values, free, start, delays, derivatives)

@@ -183,7 +183,7 @@ def _channel(name: str, values: Array, of: SensorSection) -> Channel:
 
 
 def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
-    """Returns the time between equidistant samples, the index of each sample, the largest deviation of a time [s], and remarks."""
+    """Returns the interval of equidistant samples, the index of each sample, the largest deviation of a time [s], and remarks."""
     diffs = np.diff(time)
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)

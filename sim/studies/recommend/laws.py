@@ -1,8 +1,8 @@
 """Candidates that are usually tuned by hand: skyhook with or without travel feedback, semi-active laws, other passive dampers
 and springs.
 
-Each force u of the skyhook damps the body's velocity above its suspension. Velocities are measured, or are integrals xi of the
-measured accelerations a with a corner frequency w_c:
+Each force u of the skyhook damps the velocity of the body above the suspension on which it acts. Velocities are measured, or
+are integrals xi of the measured accelerations a with a corner frequency w_c:
 
     xi' = a - w_c xi,    u = -c S J G^+ (velocities, xi) - m_v S J G^+ a.
 

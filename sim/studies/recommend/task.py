@@ -208,7 +208,7 @@ class Contender:
     Attributes:
         name: name of the candidate's family, as in the table.
         controller: controller that the candidate uses.
-        vehicle: vehicle that is controlled; a passive candidate has another damper and spring.
+        vehicle: vehicle that is controlled; a passive candidate has a different damper and spring.
         setting: text that states the parameter values of the candidate.
         own: True for a controller that the vehicle file already contains.
     """

@@ -162,7 +162,7 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     """Returns signals of the continuous linear response of a run, exact between samples; empty if there is no such response.
 
     If the road velocity has a kink within a piece, the error of the polynomial is 1e-3 of the effect of this kink. If kinks are
-    only a few steps apart, the steps until the last wheel has passed them are divided into shorter pieces.
+    only a few steps apart, the steps until the last wheel has passed all of these kinks are divided into shorter pieces.
 
     Args:
         run: run whose signals are returned.

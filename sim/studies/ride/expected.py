@@ -1,8 +1,8 @@
 """Expected metrics of a linear vehicle on a random road, and the remaining transient when the measurement begins.
 
 The vertical road velocity is white noise within a frequency band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per
-Hz at the speed V. Rear wheels reach the same road later, and left and right track are coherent to the degree that the road
-defines. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
+Hz at the speed V. Rear wheels reach each point of the road later, and left and right track are coherent to the degree that the
+road defines. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
 frequency response of the implemented loop, the spectrum and the covariance of outputs i and k are
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.

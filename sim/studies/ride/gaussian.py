@@ -6,7 +6,7 @@ density of the normal distribution, and Q the tail probability,
 
     E min(x, s)^2 = sigma^2 (1 - Q(a) - a phi(a) + a^2 Q(a)).
 
-For a cyclostationary signal, the exact statistics are means over the steps of a period. The other statistics use the mean
+For a cyclostationary signal, the exact statistics are means over the steps of a period. All other statistics use the mean
 spectrum.
 
 The formula for the variance of a mean square is asymptotic, for a window much longer than the correlation time. The function

@@ -158,7 +158,7 @@ class Metric:
         over_runs: rule that combines the values of several runs.
         approximate: False if the expected value is exact for a stationary linear run.
         expectation: text that defines the expected value, if it is not the mean.
-        accuracy: text about the error of an approximate expected value; empty if it is not stated.
+        accuracy: text about the error of an approximate expected value; empty if no error is stated.
         column: column in the table of controllers; None if the table does not contain this metric.
         headline: name in the short tables of campaigns and reports; empty if they do not contain this metric.
         effort: True for a metric of actuators, which the passive vehicle does not have.
@@ -295,7 +295,7 @@ class Meter:
                 `loaded`.
             earlier: True to compute the weighted metrics as earlier versions did, with a window that was delayed by three
                 samples.
-            speeds: speed of each run [m/s], N entries; None if it is unknown. Metrics per distance are then NaN.
+            speeds: speed of each run [m/s], N entries; None if the speeds are unknown. Metrics per distance are then NaN.
         """
         self.late = 0 if earlier else LATE
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
@@ -393,7 +393,7 @@ class Meter:
     def work(self, force: str) -> Array:
         """Returns the work of an actuator [J] in each step that ends in the current block, shape (N, B).
 
-        The first block contains one step less than it contains samples, so its result has the shape (N, B - 1).
+        The first block has one step fewer than samples, so its result has the shape (N, B - 1).
         """
         if force not in self.works:
             acting, along = self._joined(force), self._joined(self.vehicle.kind.deflection_of(force))

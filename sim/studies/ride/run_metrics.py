@@ -79,7 +79,7 @@ class MetricComparison:
         sampled: value in the exact sampled response over the same road; None if the run was aborted.
         expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
             linear and stable, or the metric has no known expected value.
-        spread: standard deviation of the expected value from road to road; None if it is unknown.
+        spread: standard deviation of the expected value from road to road; None if this deviation is unknown.
         approximate: True if the formula for the expected value is an approximation.
     """
 
@@ -143,7 +143,7 @@ def measured_samples(
     """Returns the index of the first measured sample, and the index after the last measured one (None for the end of the run).
 
     - On a random road, the measurement begins when the transient has decayed, or at half of the run if this is earlier. The
-      transient of a law in Python is unknown, so its measurement begins at half of the run.
+      transient of a law in Python is unknown, so the measurement begins at half of the run.
     - Over a single obstacle, the measurement covers the time in which the vehicle crosses the obstacle, and is the same for all
       controllers. The measurement begins when the first wheel reaches the obstacle. The measurement ends when the passive vehicle
       would have settled after its last wheel has left the obstacle.
@@ -307,7 +307,7 @@ def roughness_sentence(run: Run) -> str:
 
 
 def basis(run: Run, metrics: RunMetrics) -> list[str]:
-    """Returns sentences about the accuracy of the expected values, and about effects that they omit.
+    """Returns sentences about the accuracy of the expected values, and about effects that these values omit.
 
     If the run was aborted, the first sentence gives the reason.
     """

@@ -363,7 +363,9 @@ def record(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
 def _deviations(
     vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, signals: Sequence[str]
 ) -> Array | None:
-    """Returns the standard deviations of k output signals of a linear vehicle on a road, shape (k,); None if it is unstable."""
+    """Returns the standard deviations of k output signals of a linear vehicle on a road, shape (k,); None if the vehicle is
+    unstable.
+    """
     if radius(loop_of(vehicle, controller, timestep)) >= 1:
         return None
     low, high = road.band

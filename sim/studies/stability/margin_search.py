@@ -132,7 +132,7 @@ class GainMargin:
     def found(self) -> float:
         """Margin found in MuJoCo, extrapolated to a timestep of 0 if finer searches ran.
 
-        The margin is infinite if it grows without limit as the timestep shrinks, because only sampling then limits the gain.
+        The margin is infinite if it grows without limit as the timestep decreases, because then only sampling limits the gain.
         The margin is NaN if it still grows at the smallest timestep, although the continuous loop has a larger finite margin.
         """
         if not self.finer.searched:
@@ -193,7 +193,9 @@ class LoopMargins:
 
     @property
     def found_sample_period(self) -> float:
-        """Longest stable sample period below the first unstable one [s]; infinite if all are stable, NaN if it is unknown."""
+        """Longest stable sample period below the first unstable one [s]; infinite if all periods are stable, NaN if the limit
+        is unknown.
+        """
         edge = self.sample_period
         return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
 
@@ -236,7 +238,9 @@ def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> 
 
 
 def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
-    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] is within its range."""
+    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] is within the range of the
+    search.
+    """
     within = math.isinf(predicted) or predicted < SLOWEST or math.isfinite(edge.unstable)
     return edge.searched and edge.decided and within
 
@@ -262,7 +266,7 @@ def find_margins(
         force is the loop that is cut at this force while the loops of the other forces are closed.
 
     Raises:
-        InputError: the controller belongs to another vehicle, or the timestep is invalid.
+        InputError: the controller belongs to a different vehicle, or the timestep is invalid.
 
     Example:
         >>> from models import read_vehicle

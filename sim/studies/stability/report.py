@@ -244,7 +244,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
 
     Args:
         found: margins of the controller to which the loop belongs.
-        one: margins of the loop whose rows are returned.
+        one: margins of the loop to which the rows belong.
         of: text such as ", ideal loop", which follows the name of a margin if the implemented loop has the same margin.
     """
     predicted, h, gain = one.predicted, one.timestep, one.gain

@@ -5,8 +5,8 @@ bump height, so one response predicts the height at which the first limit is rea
 height and a bump slightly above it. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
 two runs do not enclose the correct height, the next height follows from the largest signal of the highest run below the limit.
 
-If there are semi-active dampers, the analysis includes them, because at every height they cannot apply some forces of a linear
-controller.
+If there are semi-active dampers, the analysis includes these dampers, because at every height they cannot apply some forces of
+a linear controller.
 """
 
 import math
@@ -79,7 +79,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     Args:
         vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
-        bump: bump with the length and speed to study; the response over it predicts the responses at other heights.
+        bump: bump with the length and speed to study; the response over this bump predicts the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
     """
     ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
@@ -108,7 +108,8 @@ def enclose_ends(
     Args:
         vehicle: vehicle that the controllers control.
         controllers: N controllers, one for each of the bumps.
-        bumps: N bumps with the lengths and speeds to study; the responses over them predict the responses at other heights.
+        bumps: N bumps with the lengths and speeds to study; the responses over these bumps predict the responses at other
+            heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.
         within: factor between the predicted height and the heights of the two runs, see `WITHIN`.

@@ -117,7 +117,7 @@ class Cells:
 
     @property
     def unexplained(self) -> int:
-        """Number of cells in which MuJoCo contradicts the prediction, although they are not at a boundary."""
+        """Number of cells in which MuJoCo contradicts the prediction, although these cells are not at a boundary."""
         return len(self.others - self.boundary)
 
     @property

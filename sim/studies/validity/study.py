@@ -33,7 +33,9 @@ OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps that a r
 
 
 class EnvelopeStudy(EnvelopeCommand):
-    """Study that maps the validity of linear analysis: for one controller in the command, for each active one in the report."""
+    """Study that maps the validity of linear analysis: for one controller in the command, for each active controller in the
+    report.
+    """
 
     def vehicle(self, given: Vehicle, names: Sequence[str]) -> Vehicle:
         """Returns the vehicle in equilibrium, from which each run over a bump starts."""

@@ -36,7 +36,7 @@ class Estimate:
     """Result of an identification.
 
     Attributes:
-        problem: parameters to identify, and experiments that measured them.
+        problem: parameters to identify, and the experiments from whose logs they are estimated.
         values: values of all free parameters [SI], by name; parameters that were not estimated keep their initial values.
         free: names of the p parameters that were estimated.
         structure: parameters and combinations that the logs do not determine.
@@ -134,7 +134,7 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     """Identifies parameters.
 
     Args:
-        free: names of the parameters to estimate; the others keep their initial values.
+        free: names of the parameters to estimate; all other parameters keep their initial values.
         seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:

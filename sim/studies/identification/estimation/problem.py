@@ -1,4 +1,4 @@
-"""Problem of an identification: the parameters to identify, the experiments that measured them, and known combinations of
+"""Problem of an identification: the parameters to identify, the experiments that provide the logs, and known combinations of
 parameters.
 """
 
@@ -31,7 +31,7 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Parameters to identify, and the experiments that measured them.
+    """Parameters to identify, and the experiments from whose logs they are estimated.
 
     Attributes:
         vehicle: vehicle with the initial values of its parameters.

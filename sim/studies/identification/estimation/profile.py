@@ -44,7 +44,8 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
 
 
 def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float | None:
-    """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if it never does.
+    """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if this level is
+    never reached.
 
     Args:
         last: value of the unknown at which the search stops.

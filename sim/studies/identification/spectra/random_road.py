@@ -5,7 +5,7 @@ a vehicle from the random sources of the road to the q sensors. The measurements
 
     S(f) = F F* + 2 h diag(noise^2),
 
-for the sample time h. F contains the delays of the wheels, so front and rear wheels drive over the same road.
+for the sample time h. F contains the delays between the wheels, so front and rear wheels drive over the same road.
 
 Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w
 that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value

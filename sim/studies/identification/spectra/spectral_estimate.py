@@ -44,7 +44,7 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
     """Identifies parameters of a vehicle and its road. Estimates from spectra have no predicted signals.
 
     Args:
-        free: names of the parameters to estimate; the others keep their initial values.
+        free: names of the parameters to estimate; all other parameters keep their initial values.
         seed: random seed for further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:
