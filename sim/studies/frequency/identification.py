@@ -120,7 +120,7 @@ def _road_size(vehicle: Vehicle, response: Response) -> float:
 
 
 def _filter_signal(one: Filter, values: Array, period: float) -> Array:
-    """Returns a signal after a filter that starts at 0. `period` is the time between samples [s]."""
+    """Returns a filtered signal; the states of the filter start at zero. `period` is the time between samples [s]."""
     law = one.realisation.sampled(period)
     from scipy.signal import dlsim  # imported here because the import takes half a second
 

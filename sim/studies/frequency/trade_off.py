@@ -97,7 +97,7 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
     such frequency.
 
     Args:
-        vehicle: vehicle with the outputs of the norm.
+        vehicle: vehicle whose outputs are those of the norm.
         controller: controller that closes the loop.
         norm: value of the H-infinity norm.
         at: frequency at which the loop reaches the norm [rad/s]; may be 0.

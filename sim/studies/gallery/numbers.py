@@ -39,7 +39,7 @@ class ComparedNumber:
         printed: number as the source published it.
         exact: value that linear analysis gives.
         mujoco: value that is measured in a MuJoCo run; None if the number cannot be measured in a run.
-        grid: value from linear analysis at the sample times of the source; None if these are unknown.
+        grid: value from linear analysis at the sample times of the source; None if these times are unknown.
     """
 
     printed: PrintedNumber

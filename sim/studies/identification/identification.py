@@ -305,6 +305,8 @@ def _mirror(
 
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
-    """Returns the fits of a log that was not used for the estimate. Only its starting state and offsets are estimated."""
+    """Returns the fit of each signal in each stretch of a log that was not used for the estimate. Only its starting state and
+    offsets are estimated.
+    """
     residuals = Residuals(replace(of.problem, first=of.values, experiments=log.experiments, known=()), ())
     return list(zip(log.experiments, residuals.fits(first_unknowns(residuals)), strict=True))

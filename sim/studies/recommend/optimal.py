@@ -125,7 +125,8 @@ def own_hardware(task: Task) -> DesignConditions:
 
 
 def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
-    """Returns a controller for a law. The controller has the certificate of the passive vehicle until `certified` replaces it.
+    """Returns a controller with this law. The controller has the certificate of the passive vehicle until `certified` replaces
+    it.
 
     The certificates of all candidates would take most of the time of a search.
     """

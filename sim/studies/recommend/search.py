@@ -2,8 +2,8 @@
 
 The number of evaluations of a family is fixed, so the search finds the same candidates on any machine. MuJoCo simulates bump
 stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. In MuJoCo, the best
-candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated with a factor on this
-limit: the used share in MuJoCo, divided by the expected share.
+candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated. The share of the limit
+that the candidate used in MuJoCo, divided by the expected share, becomes a factor on this limit.
 """
 
 from collections.abc import Callable, Iterator, Sequence

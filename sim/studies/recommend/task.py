@@ -105,7 +105,7 @@ class Task:
 
     @cached_property
     def passive_values(self) -> Mapping[str, float | None]:
-        """Expected metrics of the passive vehicle in the comparison of controllers, by key; None for an unknown metric."""
+        """Expected metrics of the passive vehicle for the comparison of controllers, by key; None for an unknown metric."""
         return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
 
     @cached_property

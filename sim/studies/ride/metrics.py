@@ -45,19 +45,21 @@ PITCH, ROLL = "pitch_angle", "roll_angle"
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
-    """Returns the angles of the body [rad] by name, each as coefficients of signals by name."""
+    """Returns the angles of the body [rad], by name; each angle is a weighted sum of signals, given as the weight of each
+    signal.
+    """
     return vehicle.kind.angles(vehicle.parameters)
 
 
 def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles of the body [deg] by name, for the equilibrium of the linear loop under constant loads.
+    """Returns the angles of the body [deg] by name, in the equilibrium of the linear loop under constant loads.
 
     The result is empty if the loop is unstable or the law is nonlinear.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
-        road: road with the loads.
+        road: road whose loads act on the body.
         time: time at which the constant loads are taken from the road [s].
     """
     if controller.linear is False:
@@ -204,7 +206,7 @@ class Metric:
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
-        """Adds the current block of a meter to the totals."""
+        """Adds the current block of signals, which the meter holds, to the totals."""
 
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
         """Adds a block of the weighted acceleration of this metric.
@@ -233,7 +235,7 @@ def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> 
     Args:
         metric: the metric.
         values: value of each run, shape (R,).
-        distances: measured distance of each run [m], shape (R,); None if all are equal.
+        distances: measured distance of each run [m], shape (R,); None if all distances are equal.
     """
     return float(metric.over_runs.of(values, np.ones(len(values)) if distances is None else distances))
 
@@ -261,7 +263,7 @@ def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
 def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
     """Returns the metrics that are compared, by name in `METRICS`.
 
-    If a name has several metrics, the worst of these metrics represents the vehicle.
+    If the vehicle has several metrics with one name, the worst of these metrics represents the vehicle.
     """
     return {
         name: tuple(map(kind, kind.compared(vehicle))) for name, kind in METRICS.load_all().items() if loaded or not kind.loaded

@@ -350,7 +350,7 @@ def broken_off_sentence(run: Run) -> list[str]:
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     """Returns the document with the largest angles of the body under loads, and the expected ride over random roads.
 
-    For more than `FEW` runs, the expected ride is a detail.
+    For more than `FEW` runs, only `-v` shows the expected ride.
     """
     angles = [
         {

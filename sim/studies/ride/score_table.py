@@ -87,7 +87,7 @@ def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str
     Args:
         scores: scores of the controllers, one per row.
         about: text that describes the measurement.
-        below: cells of rows that follow the controllers, by heading of the column.
+        below: cells of additional rows below those of the controllers, by heading of the column.
     """
     one = compared_table(scores, about)
     one = replace(one, rows=(*one.rows, *(tuple(cells.get(heading, "") for heading in one.headings) for cells in below)))

@@ -188,7 +188,7 @@ class LoopMargins:
 
     @property
     def found_gain_lower(self) -> float:
-        """Largest unstable gain factor below 1; 0 if all these factors are stable."""
+        """Largest unstable gain factor below 1; 0 if all factors below 1 are stable."""
         return 1 / self.gain_lower.found
 
     @property
@@ -201,12 +201,12 @@ class LoopMargins:
 
     @property
     def found_delay(self) -> float:
-        """Smallest unstable delay [s]; infinite if all are stable, NaN if the runs are not decisive."""
+        """Smallest unstable delay [s]; infinite if all delays are stable, NaN if the runs are not decisive."""
         return self.delay.unstable if _is_seen(self.delay, self.predicted_delay) else math.nan
 
     @property
     def found_phase(self) -> float:
-        """Phase lag at the crossover frequency that the found delay causes [rad]."""
+        """Phase lag that the found delay causes at the crossover frequency [rad]."""
         return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property

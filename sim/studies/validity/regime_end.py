@@ -103,7 +103,7 @@ def enclose_ends(
     loads: tuple[Load, ...] = (),
     within: float = WITHIN,
 ) -> list[RegimeEnd | None]:
-    """Finds the bump heights at which the linear regime ends for N lengths and speeds, and encloses each by two MuJoCo runs.
+    """Finds the bump heights at which the linear regime ends for N lengths and speeds; two MuJoCo runs enclose each height.
 
     Args:
         vehicle: vehicle that the controllers control.
@@ -115,7 +115,7 @@ def enclose_ends(
         within: factor between the predicted height and the heights of the two runs, see `WITHIN`.
 
     Returns:
-        The end for each bump; None if no limit is reached at any allowed height.
+        End of the linear regime for each bump; None if no limit is reached at any allowed height.
     """
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
     for i, (response, used) in enumerate(_predict_ends(vehicle, controllers, bumps, loads, time)):

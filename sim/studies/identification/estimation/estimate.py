@@ -167,7 +167,7 @@ def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float)
 
 
 def _estimate(of: Residuals, solution: Solution, structure: Structure) -> Estimate:
-    """Returns the estimate for a solution, with covariances and whiteness tests."""
+    """Returns the estimate that belongs to a solution of the search, with covariances and whiteness tests."""
     x, noise, p = solution.x, solution.noise, len(of.free)
     R, C = information(of.reduced(x, noise)[0], p)
     inverse, values = np.linalg.pinv(R), of.values(x)

@@ -37,7 +37,7 @@ class IdentificationProblem:
         vehicle: vehicle with the initial values of its parameters.
         change: function that returns the vehicle with other values of some parameters.
         first: initial values of all free parameters, by name; each is above 0.
-        experiments: experiments that measured the parameters.
+        experiments: experiments from whose logs the parameters are estimated.
         known: combinations of parameters whose values are known from elsewhere.
         from_zero: names of the free parameters that may be zero; all other parameters are represented by their logarithms.
         lowest: smallest allowed values of parameters that need a limit above 0 (such as an exponent), by name.

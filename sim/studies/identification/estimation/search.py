@@ -60,7 +60,7 @@ def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among
     Args:
         rounds: largest number of rounds, in which unknowns and noise are estimated alternately.
         most: largest number of evaluations in each round.
-        among: indices of the unknowns that change; all by default.
+        among: indices of the unknowns that the search may change; all by default.
     """
     noise = of.noise(x)
     for _ in range(rounds):
@@ -90,7 +90,7 @@ def least_squares(of: Residuals, x: Array, noise: Mapping[str, float], most: int
     """Returns the unknowns with the least sum of squares of residuals divided by the noise, after at most `most` evaluations.
 
     Args:
-        among: indices of the unknowns that change; all by default.
+        among: indices of the unknowns that the search may change; all by default.
     """
     from scipy import optimize
 

@@ -53,7 +53,7 @@ class Periodograms:
     """Measured spectra of the segments of an experiment, which all have the same length.
 
     Attributes:
-        experiment: experiment that was measured.
+        experiment: experiment from whose log the spectra are computed.
         frequencies: frequencies at which the periodograms are used [Hz], shape (K,).
         measured: mean of the periodograms, shape (K, q, q); complex, one-sided.
         segments: number of segments into which the log is divided.
@@ -193,7 +193,7 @@ class RoadResponse:
         problem: identification problem with the vehicle and its parameters.
         one: experiment on a random road.
         values: values of all parameters, including those of the road.
-        free: names of the p parameters for the derivatives.
+        free: names of the p parameters with respect to which derivatives are computed.
     """
 
     def __init__(self, problem: IdentificationProblem, one: Experiment, values: Mapping[str, float], free: Sequence[str]) -> None:

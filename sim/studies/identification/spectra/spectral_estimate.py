@@ -135,7 +135,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
     """Returns the unknowns with the largest likelihood near x.
 
     Args:
-        among: indices of the unknowns that change; all by default.
+        among: indices of the unknowns that the search may change; all by default.
         enough: the search ends if the derivatives of the deviance are smaller than this.
         most: largest number of iterations.
     """
