@@ -55,7 +55,7 @@ class RankedContender:
 
     @property
     def binds(self) -> str:
-        """The limit with the largest used share; "-" if no limit is nearly reached, and followed by "!" if a limit is exceeded."""
+        """The limit with the largest used share; "-" if no limit is nearly reached; followed by "!" if a limit is exceeded."""
         name = max(self.used, key=self.used.__getitem__, default="")
         return "-" if not name or self.used[name] < NEAR else f"{name}{'!' * (not self.keeps)}"
 
