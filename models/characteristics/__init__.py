@@ -4,5 +4,5 @@ STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of bump stops in veh
 STOP = "stop"  # other name of the key `stop_stiffness`, which is used for tables and files
 STOP_NAMES = (*STOP_KEYS, STOP)
 RATIO = "ratio"  # heading of the column that gives a motion ratio as a function of travel
-LEAVES = 0.1  # a characteristic counts as nonlinear if it deviates from its linearisation by this share of its largest force
+LEAVES = 0.1  # a characteristic counts as nonlinear above this deviation from its linearisation, relative to its largest force
 SIDES = ("bump", "rebound")  # sides of bump stops: compression and extension of the suspension

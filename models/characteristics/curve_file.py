@@ -167,7 +167,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     by_role: dict[str, list[Heading]] = defaultdict(list)
     for heading in headings:
         by_role[_role(heading)].append(heading)
-    for role in ROLES:  # a column whose unit has another dimension is excluded, for example the voltage of a force sensor
+    for role in ROLES:  # a column whose unit does not fit the quantity is excluded, for example the voltage of a force sensor
         by_role[role] = [one for one in by_role[role] if unit_size(one.unit, QUANTITIES[role].si)] or by_role[role]
     wanted = "deflection" if over == "compression" else over or ("velocity" if by_role["velocity"] else "deflection")
     known, forces = by_role[wanted], by_role["force"]
@@ -212,8 +212,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         return dict(zip((wanted, "force"), _of_sheet(x, *values), strict=True)) | _note(notes)
     if undirected and not log and numbers.min() < 0:
         raise question
-    # The compression of a stop may have other words in its heading, as in "rebound stop compression". A heading without a
-    # direction also means compression.
+    # The heading for the compression of a stop may contain additional words, as in "rebound stop compression". A heading
+    # without a direction also means compression.
     named = -1 if over == "compression" and (undirected or "compression" in used[0].words) else used[0].direction
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
     x, force = towards * x, (named or used[1].direction or 1) * values[0]
@@ -307,7 +307,7 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
 def _dpr_columns(text: str) -> str:
     """Returns the table of a damper property file with headings, and the line number of each row in the file."""
     text = re.sub(r"[$!].*", "", text)
-    # Number of lines of text before each block
+    # Number of lines of text before each block of the file
     before = {block[1].upper(): text[: block.start(2)].count("\n") for block in BLOCK.finditer(text)}
     blocks = {block[1].upper(): block[2] for block in BLOCK.finditer(text)}
     for name in ("UNITS", "CURVE"):

@@ -263,7 +263,7 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
             tables.append(read(where, DamperTable if over is VELOCITY else SpringTable, one))
         else:
             slopes.append(SI(over.slope, low=0.0, high=MOST_SLOPE).number(f"{where} a slope", one))
-    # The table with `preload = true` is read last, because it carries the rest of the load, which the other tables do not carry
+    # The table with `preload = true` is read last, because it carries the part of the load that the other tables do not carry
     tables.sort(key=lambda one: one.preload is True)
     with error_in(f"{where}:"):
         return _sum(slopes, tables, over, load)

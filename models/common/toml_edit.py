@@ -49,7 +49,7 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
         changed = _replace_texts(text, replacements)
         if _normal(parse_toml(changed)) == _normal(expected):
             return changed
-    except Exception as error:  # the text shows that tomlkit has read or written it incorrectly
+    except Exception as error:  # the resulting text shows that tomlkit has read or written the file incorrectly
         cause = error
     names = list_names(".".join(replacement.path) for replacement in replacements)
     raise InputError(f"{names} cannot be replaced in the file; write each key on its own line below its [section]") from cause

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 
-MOTIONS = {  # parameter that a type has if its body makes this motion, and the signals of velocity, acceleration and load
+MOTIONS = {  # parameter that a type has if its body can make this motion, and the signals of velocity, acceleration and load
     "sprung_mass": (signals.HEAVE_VELOCITY, signals.HEAVE_ACCELERATION, rigid_body.LOADS[0]),
     "pitch_inertia": (signals.PITCH_RATE, signals.PITCH_ACCELERATION, rigid_body.LOADS[1]),
     "roll_inertia": (signals.ROLL_RATE, signals.ROLL_ACCELERATION, rigid_body.LOADS[2]),

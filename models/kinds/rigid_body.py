@@ -408,11 +408,11 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     sprung.mass = body.mass
     inertias = [own for own in (body.roll_inertia, body.pitch_inertia) if own is not None]
     sprung.inertia = [inertias[0], inertias[-1], max(inertias)]
-    # The body cannot yaw, so its third moment of inertia matters only if it pitches and rolls simultaneously. The effect of
-    # this inertia is quadratic in the amplitude, and zero in the linear model. Vehicle files do not contain this moment of
-    # inertia. For a car, the larger one of the other two moments is a good estimate. A rigid body can have any value between
-    # the difference and the sum of the other two moments. Over a bump of 0.1 m under the left wheels, values in this range
-    # change the full car's pitch acceleration by at most 5e-4 of its peak.
+    # The body cannot yaw, so its third moment of inertia (yaw) matters only if it pitches and rolls simultaneously. The effect
+    # of this inertia is quadratic in the amplitude, and zero in the linear model. Vehicle files do not contain this moment of
+    # inertia. For a car, the larger of the other two moments is a good estimate. A rigid body can have any value between the
+    # difference and the sum of the other two moments. Over a bump of 0.1 m under the left wheels, values in this range change
+    # the full car's pitch acceleration by at most 5e-4 of its peak.
 
     if body.has_axis:
         for mode, arm in zip(body.modes[1:], body.axis_offsets[1:].tolist(), strict=True):

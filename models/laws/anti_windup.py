@@ -18,8 +18,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 
-# A pole of A - L C that is outside the circle by more than SLACK shows that rounding errors have made L useless. The product of
-# the anti-windup rate and the sample period T must be at least SLACK.
+# A pole of A - L C that is outside the allowed circle by more than SLACK shows that rounding errors have made L useless. The
+# product of the anti-windup rate and the sample period T must be at least SLACK.
 SLACK = 1e-6
 
 

@@ -136,7 +136,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     if not parts and not goal_keys and not {"order", "design"} & section.keys():
         parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
-    # `structure` then describes the given law; it is not a goal for the design of a static gain
+    # `structure` then describes the law in the file; it is not a goal for the design of a static gain
     of_law = filtered or "order" in parts
     if goals := [key for key in goal_keys if not (of_law and key == "structure")]:
         parts["goals"] = goals[0]

@@ -82,7 +82,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
         for key, (rows, columns) in shapes.items():
             there = getattr(self, key)
             if not any(there) and not rows * columns:
-                continue  # if a law has no states, its empty matrices may have any form
+                continue  # if a law has no states, its empty matrices may have any shape
             if len(there) != rows or any(len(row) != columns for row in there):
                 raise InputError(
                     f"{key} has {size(there)}; give {rows} row(s) of {columns} number(s), because A has {k} row(s), this vehicle "

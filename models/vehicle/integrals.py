@@ -28,7 +28,7 @@ def check_integrals(
     noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
     if request.design == "lqg":
         noisy |= {name: rms for name, rms in heard.items() if name in entry.measured}
-    # The noise of a signal is integrated only if the law measures the whole integrated signal.
+    # The noise of a signal is integrated only if the law measures all signals of the integrated sum.
     integrated = [name for terms in integrals.values() if {*terms} <= {*entry.measured} for name in terms if noisy.get(name)]
     refused = {
         f"{SAMPLED_REFUSAL}; omit sampled": sampled or request.sampled,

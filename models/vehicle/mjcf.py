@@ -332,7 +332,8 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
-# Amplitude of the test motion [m, rad], which is less than the hub height. An angle of this size changes its cosine by 5e-5
+# Amplitude of the test motion [m, rad], which is less than the hub height. The cosine of an angle of this size differs from 1
+# by 5e-5
 LARGEST_MOVE = 1e-2
 # Smallest change that is noticed, relative to the largest entry of a matrix or to the sensor value; the rounding error is 1e-15
 CHANGE = 1e-9

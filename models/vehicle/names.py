@@ -12,7 +12,7 @@ from models.common.errors import InputError, short_repr
 
 WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that can be omitted in a run
 PASSIVE = "passive"  # name of the controller without force, which every vehicle has
-COPY = "_printed"  # suffix of the name of a controller that repeats another controller with the gain published in a paper
+COPY = "_printed"  # suffix for the name of a copy of a controller, which has the gain published in a paper
 LONGEST_NAME = 60  # largest length of a name [bytes]; a file name can contain the names of three controllers
 
 

@@ -88,7 +88,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
 
 
 Entries = Mapping[str, Any]
-# Vehicle type for the `type` in a vehicle file, and for the plane of motion in the file
+# Vehicle type by the `type` in a vehicle file, and by the plane of motion in the file
 PLANES = {"half_car": {"pitch": "half_car", "roll": "half_car_roll"}}
 
 

@@ -35,7 +35,7 @@ from sim.drive import RUNS_AT_ONCE
 from sim.studies.ride.scores import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
-MOST_OF_A_RUN = 0.99  # a remark is printed if a road from a file covers a smaller share of the run
+MOST_OF_A_RUN = 0.99  # a remark is printed if a road from a file covers a smaller share of the run than this
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions affect a campaign's results
 
 

@@ -68,7 +68,7 @@ class Actuators:
         self.at_rest = np.pad(self._of.at_rest, (0, more))
         self.closing[: self.forces][adjustable, -readout.stretching_rates.shape[1] :] = -readout.stretching_rates[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
-        # The last actuators of the model are the ramps of damper characteristics. A ramp receives the command of its damper.
+        # The last actuators of the model are the ramps of damper characteristics. Each ramp receives the command of its damper.
         ramps = {
             one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
         }

@@ -35,7 +35,7 @@ from sim.drive.sensor_readout import (
 if TYPE_CHECKING:
     from sim.drive.part_steps import PartBatch
 
-DIVERGENCE_LIMIT = 1e8  # largest absolute value of a signal, in SI units; a run with a larger one has diverged
+DIVERGENCE_LIMIT = 1e8  # largest absolute value of a signal, in SI units; a run with a larger value has diverged
 
 # largest number of road heights that a batch stores (16 bytes each), enough for 256 quarter-cars over 20 s at 1 ms
 MOST_HEIGHTS = 5_200_000

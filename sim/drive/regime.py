@@ -297,7 +297,7 @@ class EndDetector:
         flags = [False] * len(vehicles) if anti_windup is None else anti_windup
         self.lags = np.array([_way_and_interval(one, h, predicted) for one in vehicles]).T
         demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
-        # Without a limit on commands, a clipped demand has no effect before a force reaches its limit
+        # Without a limit on commands, clipping a requested force has no effect before a force reaches its limit
         self.way = np.where(demanded, self.lags[0], 0.0)
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
         self.before = dict[int, Array]()  # forces at the last two samples, by index of the signal [N], shape (N, 2)
@@ -308,7 +308,7 @@ class EndDetector:
         self.hubs: dict[int, Array] = {}  # hub heights at the last two samples, by index of the tyre's signal [m], shape (2, N)
         # Each entry contains the index of the regime end, the threshold of the first run, the index of the limited signal, the
         # limit in every run, and a function that computes the limited quantity.
-        once = {id(vehicle): vehicle for vehicle in vehicles}  # one entry per vehicle, because most runs share one
+        once = {id(vehicle): vehicle for vehicle in vehicles}  # one entry per vehicle, because most runs share a vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
             (end, limits[0], self.places[limits[0].signal], np.array([limit.value for limit in limits]), reading(limits))
@@ -333,7 +333,7 @@ class EndDetector:
             self._note(end, start, towards, limit)
             if REGIME_ENDS[end] is SATURATION and threshold.signal in self.pushing and self.way.any():
                 demands = self._demands(signal, values)
-                # From the second block on, the first demand belongs to the last sample of the previous block.
+                # From the second block on, the first requested force belongs to the last sample of the previous block.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands), limit)
 
     def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:

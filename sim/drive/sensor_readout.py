@@ -162,7 +162,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None])))) or (vehicle.inertial and bool(late.any()))
     linear = ~late
     rng = np.random.default_rng(0)
-    for _ in range(3):  # a signal counts as linear if its value is linear in three random states
+    for _ in range(3):  # a signal counts as linear if its value agrees with the linear terms in three random states
         move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
         linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
     inputs, stretching = len(vehicle.linear_model.inputs), []

@@ -65,7 +65,7 @@ class Stepper:
         w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching_rates(vehicle) if vehicle.dampers else np.zeros((m, n))
-        self._still = None if felt else np.zeros((1, m))  # used instead of the inputs if no force depends on them
+        self._still = None if felt else np.zeros((1, m))  # zeros that replace the inputs if no force depends on them
         rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
         of_road = of_road + rows @ model.jump
         if felt:

@@ -17,8 +17,8 @@ JOULES = Field[float]("energy", float, ".5g", unit="J")
 BALANCE_TOLERANCE = 1e-3
 # A fault causes the same residual at every step size, but RK4 causes a residual that decreases at least with the square of the
 # step. If the residual is too large, the run is therefore repeated at half the step, and `FALLS` times the observed decrease is
-# allowed in addition. If the error of RK4 is of second order, it is 4 / 3 of the decrease. A wheel of 7 kg on a tyre of 430
-# kN/m that is often in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
+# allowed in addition. If the error of RK4 is of second order, this error is 4 / 3 of the observed decrease. A wheel of 7 kg on
+# a tyre of 430 kN/m that is often in the air causes residuals of 2.6e-3 at 1 ms and 5.7e-4 at 0.5 ms.
 FALLS, COARSEST = 1.5, 0.1  # factor for the decrease of the residual, and largest residual at which a balance can be confirmed
 # if the turnover is below this multiple of the energy in equilibrium, the residual is a rounding error
 ROUNDING = 1e-8

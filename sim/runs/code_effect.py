@@ -19,7 +19,8 @@ from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
 OF_CODE = Field[str]("difference", str, ".2g")
-# largest change of a signal due to exported code, relative to the signal's peak; code with a larger effect is not the law
+# largest change of a signal due to exported code, relative to the signal's peak; code with a larger effect does not compute the
+# law
 MOST = 1e-2
 
 

@@ -17,7 +17,7 @@ from sim.runs.result import RunResult
 
 POINTS = 24  # approximate number of points that show a MuJoCo run
 OF_LINE = 600  # number of points of a drawn line
-NAMED_RUNS = 2  # largest number of runs leaving the axis that the title of a panel lists by name
+NAMED_RUNS = 2  # largest number of runs that leave the axis and are listed by name in the title of a panel
 LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # width of a line, also in a dense plot [points], and factor for a faint line
 # largest number of oscillations that one panel shows legibly; if a run has more, additional panels show its most severe part
 MOST_SWINGS = 80

@@ -46,17 +46,17 @@ class StudyRequest:
 class Study(Generic[R]):
     """A study, whose method `run` returns a result of type R.
 
-    A study with a command defines the class attributes. A study that only adds a section to the report does not need these
-    attributes.
+    A study that has a command defines the following class attributes. A study that only adds a section to the report does not
+    need these attributes.
 
     Attributes:
         name: name of the study in the registry `STUDIES`.
-        description, epilog: texts of `--help`. The epilog contains exit codes and examples.
+        description, epilog: texts that `--help` prints. The epilog contains exit codes and examples.
         page: documentation page that explains the printed output.
         takes: "one" if the command needs one linear controller, "several" if it accepts any controllers, "" if it uses no
             vehicle.
         usual: default value of `--controller` for a command that takes several controllers.
-        details: details that `-v` omits if they do not fit on a screen; empty if they always fit.
+        details: text that names the details which `-v` omits if they do not fit on a screen; empty if they always fit.
         stages: names of the stages that `run` passes to `progress`.
         seconds: approximate duration of the longest request of a report [s]. Long requests start first.
     """
@@ -85,7 +85,7 @@ class Study(Generic[R]):
         """Returns the vehicle to study.
 
         Args:
-            given: vehicle that the vehicle file describes.
+            given: vehicle as the vehicle file describes it.
             names: names of the requested controllers.
         """
         return given.with_common_actuators(names)
@@ -148,7 +148,7 @@ class Study(Generic[R]):
         """Checks before the design that the report can contain the section of this study; otherwise raises InputError."""
 
     def requests(self, scope: "Subject") -> Mapping[str, Any]:
-        """Returns the requests of the report to this study, by subject; empty if there are none.
+        """Returns the computations that the report requests from this study, by subject; empty if there are none.
 
         The requests are independent of each other. Each request can run in another process.
         """

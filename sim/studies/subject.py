@@ -41,7 +41,7 @@ class Subject:
         designer: object that designs the controllers for the vehicle.
         controllers: controllers of the report with a linear law.
         timestep: timestep of the simulation [s].
-        quick: True to omit margins, map and ride.
+        quick: True to omit stability margins, the map of validity and the ride.
         laws: controllers of the report to which linear analysis does not apply: laws in Python and semi-active laws.
         front: axes of a trade-off in the syntax of `--front`; None if no trade-off is requested.
         loads: loads that act on the body on a flat road.
@@ -155,7 +155,7 @@ class Subject:
 
     @property
     def margins_timestep(self) -> float:
-        """Timestep for the margins [s]: the smaller one of the default of `roadproof margins` and the report's timestep."""
+        """Timestep for the margins [s]: the smaller of the default of `roadproof margins` and the report's timestep."""
         return min(TIMESTEP, self.timestep)
 
     @property

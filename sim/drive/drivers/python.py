@@ -15,7 +15,7 @@ from sim.drive.driver import Driver, Failure, Request
 if TYPE_CHECKING:
     from models.laws.python_runtime import FileRuns, LawRuns
 
-WILD = 1e8  # largest measurement, in SI units, with which a Python law is called; a run with a larger one has diverged
+WILD = 1e8  # largest measurement, in SI units, with which a Python law is called; a run with a larger measurement has diverged
 
 
 def in_python(controllers: Sequence[PythonController], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:

@@ -1,9 +1,9 @@
 """Describing function of a loop with a law in Python: the loop's response to one sinusoid at a time, measured in MuJoCo.
 
 The law may be nonlinear. A chirp would therefore mix the responses at different frequencies, and linear analysis cannot predict
-the responses. For each output, the result contains the fundamental, which is the component at the frequency of the road. The
-result also contains the share of energy at other frequencies, due to harmonics, a mean value or transients. The result can depend
-on the height of the road.
+these responses. For each output, the result contains the fundamental, which is the component at the frequency of the road. The
+result also contains the share of energy at other frequencies, which is due to harmonics, a mean value or transients. The result
+can depend on the height of the road.
 """
 
 from collections.abc import Sequence
@@ -37,10 +37,11 @@ class DescribingFunction:
         diverged: time at which each run diverged [s], shape (F,); infinite for a run that did not diverge. A diverged run is
             not measured.
         law_diverged: True for each run that diverged only because the states of the law overflowed, shape (F,).
-        measured: complex amplitude of the fundamental per road velocity under the first wheel, shape (F, p).
+        measured: complex amplitude of each output's fundamental, divided by that of the road velocity under the first wheel,
+            shape (F, p).
         outside: share of each output's energy that is not in the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gain from w to z at each frequency, shape (F,).
-        drift: largest relative change of a fundamental between consecutive periods of the lowest frequency.
+        drift: largest relative change of a fundamental from one period of the lowest frequency to the next.
         without: text that names the noise and quantisation which the vehicle file contains but these runs omit; empty if the
             runs omit nothing.
         ended: names of the limits that were reached in any of the runs and so ended the linear regime.
@@ -75,8 +76,9 @@ def describing_function(
 ) -> DescribingFunction:
     """Measures the describing function of a controller, with one run for each sinusoidal road.
 
-    Each run lasts three periods of the lowest frequency. During the first period, transients decay. Arguments and errors are
-    those of `sim.studies.frequency.identification.measure_responses`. In addition, the law may raise an error.
+    Each run lasts three periods of the lowest frequency. During the first period, transients decay. The arguments are those of
+    `sim.studies.frequency.identification.measure_responses`, which may also raise the same errors. In addition, the law may
+    raise an error of its own.
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)
@@ -108,7 +110,8 @@ def describing_function(
 
 
 def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
-    """Returns the fundamental of each output per road velocity, and the share of its energy at other frequencies, shapes (p,).
+    """Returns the fundamental of each output, divided by that of the road velocity, and the share of its energy at other
+    frequencies, shapes (p,).
 
     Args:
         vehicle: vehicle of the run.

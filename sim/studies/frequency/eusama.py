@@ -7,7 +7,7 @@ the frequency response t / z_r, from the height z_r of the plate to the tyre def
 
     ratio = 1 - 3 mm  max |t / z_r| / t_0,    and 0 if this is negative, because the wheel lifts off.
 
-MuJoCo simulates each wheel at the worst frequency. The test is disputed, because cars with sound dampers fail if they have
+MuJoCo simulates each wheel at the worst frequency. The test is disputed, because cars with intact dampers fail if they have
 stiff tyres and light axles: M. Klapka, I. Mazurek and O. Machacek (2016), "Analysis of causes of false-negative evaluation of
 EUSAMA methodology for suspension assessment", Engineering Mechanics 2016, Svratka.
 """
@@ -37,7 +37,7 @@ from synth.controller.controller import Controller
 STROKE = 3e-3  # m, amplitude with which the test plate moves
 # lowest frequency to evaluate [Hz], below which the wheel follows the test plate; number of frequencies to evaluate
 LOWEST, GRID = 0.3, 600
-WINDOW = 4.0  # s, approximate duration of the whole periods at the end of a run to which sinusoids are fitted
+WINDOW = 4.0  # s, approximate duration of the evaluated end of a run, to which sinusoids are fitted
 # Largest relative effect of the body's rotation on a tyre deflection; a height of 3 mm under one wheel of a car causes only
 # 1e-5
 TURNING_SHARE = 1e-3
@@ -69,7 +69,9 @@ class MinimumLoad:
 
     @property
     def end(self) -> str:
-        """Names of the limits that ended the linear regime, and `curve` if the prediction uses a linearisation; else empty."""
+        """Names of the limits that ended the linear regime; if there are none, `curve` if the prediction uses a linearisation,
+        else empty.
+        """
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
@@ -77,7 +79,7 @@ SHARE_OF_LOAD = Field[float]("share of the load", lambda one: one, ".5f")
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
-    """Predicts and measures the minimum load of all wheels.
+    """Predicts the minimum load of each wheel, and measures it in MuJoCo.
 
     Args:
         vehicle: vehicle that the controllers control.
@@ -141,12 +143,14 @@ class Plate(Road):
         return {"type": "plate", "wheel": self.wheel, "omega": self.omega, "stroke": self.stroke}
 
     def scaled(self, factor: float) -> "Plate":
-        """Returns a plate with the amplitude multiplied by a factor."""
+        """Returns the plate with its amplitude multiplied by a factor."""
         return replace(self, stroke=factor * self.stroke)
 
 
 def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
-    """Returns a plate with a frequency near `omega` [rad/s], such that the fitted window contains whole periods."""
+    """Returns a plate with a frequency near `omega` [rad/s]; the samples that are fitted contain an integer number of its
+    periods.
+    """
     _, samples = whole_periods(omega, timestep)
     samples *= max(1, round(WINDOW / (samples * timestep)))
     tried = round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)
@@ -154,9 +158,10 @@ def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
-    """Returns the amplitude of a tyre deflection relative to the amplitude of the plate under this wheel, for each frequency.
+    """Returns the amplitude of a tyre deflection relative to the amplitude of the plate under the same wheel, for each
+    frequency.
 
-    The equivalent deflection of a tyre with damping is the deflection that would cause its whole force.
+    For a tyre with damping, the equivalent deflection is the one at which the tyre stiffness alone would cause the total force.
 
     Args:
         vehicle: vehicle that the controller controls.

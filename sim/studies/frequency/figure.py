@@ -97,7 +97,7 @@ def sweep_figure(
 
 
 def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
-    """Returns a sentence about the controller whose line has the lowest peak of a signal; empty for fewer than two lines."""
+    """Returns a sentence that names the controller whose line has the lowest peak; empty if fewer than two lines are drawn."""
     peaks = {one.label: (float(one.y.max()), float(one.x[one.y.argmax()])) for one in curves if one.dash != "none"}
     if len(peaks) < 2:
         return ""

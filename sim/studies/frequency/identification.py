@@ -33,7 +33,7 @@ from synth.controller.loop_of import loop_of, radius
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
-    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; the norms are over time and all wheels.
+    """Returns the L2 gain ||z|| / ||w|| of a run that starts from equilibrium; the norms include all times and all wheels.
 
     Returns None if the road has a filter, because w is then unknown.
     """
@@ -64,9 +64,11 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
 
 
 def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
-    """Returns the output signals and sums, shape (T, p). Forces that are held over several steps jump at their samples.
+    """Returns the output signals, and the sums of signals that z contains, shape (T, p). Forces that are held over several
+    timesteps jump when the controller takes a sample.
 
-    If a force is held over several steps, the result contains the signals after the jumps and the signals before the jumps.
+    If forces are held over several timesteps, the list contains two arrays: the signals after the jumps, and those before the
+    jumps.
     """
     signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
     several = steps_per_sample(vehicle.implementation, period) > 1  # between jumps, z changes continuously from step to step
@@ -74,15 +76,15 @@ def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
 
 
 def _size(sides: Sequence[Array]) -> float:
-    """Returns the root mean square of the norms of z before and after its jumps."""
+    """Returns the norm of z; if the list contains z before and after jumps, the root mean square of both norms."""
     return float(np.linalg.norm([np.linalg.norm(z) for z in sides])) / math.sqrt(len(sides))
 
 
 def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic: bool) -> Array:
-    """Returns the output signals and sums before the force jumps at each sample, shape (T, p).
+    """Returns the output signals and sums just before the forces jump at each sample, shape (T, p).
 
-    The force before the first sample is 0. For a periodic run, it equals the force at the last sample. If the actuators have a
-    lag, forces do not jump, so the signals are returned unchanged.
+    The force before the first sample counts as 0. In a periodic run, the force before the first sample equals the force at the
+    last sample. If the actuators have a lag, forces do not jump, so the signals are returned unchanged.
     """
     if vehicle.limits.actuator_bandwidth is not None:
         return signals
@@ -108,7 +110,7 @@ def _signals(vehicle: Vehicle, response: Response) -> Array:
 
 
 def _columns(response: Response, names: Iterable[str]) -> Array:
-    """Returns the signals of a run with these names as columns, shape (T, number of names)."""
+    """Returns the named signals of a run as columns, shape (T, number of names)."""
     return np.stack([response[name] for name in names], axis=-1)
 
 
@@ -118,7 +120,7 @@ def _road_size(vehicle: Vehicle, response: Response) -> float:
 
 
 def _filter_signal(one: Filter, values: Array, period: float) -> Array:
-    """Returns a signal after a filter that starts at 0. `period` is the time between samples [s]."""
+    """Returns a filtered signal; the states of the filter start at zero. `period` is the time between samples [s]."""
     law = one.realisation.sampled(period)
     from scipy.signal import dlsim  # imported here because the import takes half a second
 
@@ -142,7 +144,7 @@ class Lines:
         omega: frequencies at which the responses are measured [rad/s], shape (F,).
         measured: response measured in MuJoCo.
         sampled: exact response of the implemented (sampled-data) loop.
-        integrated: response of this loop if RK4 integrates it.
+        integrated: response of the implemented loop if RK4 integrates its equations of motion.
         continuous: exact response of the continuous loop.
         order: order of convergence of `sampled` to `continuous` as the timestep decreases; NaN if the loop has a delay or a
             sample period.
@@ -191,7 +193,8 @@ def ideal_measurements(vehicle: Vehicle) -> Vehicle:
 def measure_responses(
     vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed
 ) -> list[Lines]:
-    """Measures the frequency responses of controllers in MuJoCo, from the last period of a road that repeats a chirp.
+    """Measures the frequency responses of controllers in MuJoCo, from the last period of a run over a road that repeats a
+    chirp.
 
     Args:
         vehicle: vehicle; noise and quantisation of its `[implementation]` are omitted.

@@ -211,7 +211,7 @@ def _largest(one: Sweep | None) -> str:
 
 
 def _method(vehicle: Vehicle, lines: Sequence[Lines], amplitude: float, timestep: float) -> Iterator[str]:
-    """Yields the notes that are always printed: how the responses were measured, and with which references they are compared."""
+    """Yields the notes that are always printed: how the responses were measured, and what they are compared with."""
     how, limits = vehicle.implementation, Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     lag, noise = limits.phrases(()), how.noise_text
     without = f", without {noise}, which {'have' if ' and ' in noise else 'has'} no frequency response" if noise else ""

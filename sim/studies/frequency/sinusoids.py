@@ -1,10 +1,10 @@
-"""Runs over periodic roads: how long they last, and how the whole periods at the end are evaluated.
+"""Runs over periodic roads: how long they last, and how an integer number of periods at their end is evaluated.
 
 A *line* is one of the frequencies of the road. A run starts from equilibrium, so the response begins with a transient (free
-motion), which takes a minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only its
-size is unknown. A least-squares fit of the last periods therefore contains a sine and a cosine at each line, and the decaying
-shapes of the free motion. The fit cannot hide a wrong frequency response, because no decaying motion resembles a line over a
-whole period.
+motion), which takes a minute to decay for a passive car. The poles of the loop determine the shape of the free motion; only the
+size of the free motion is unknown. A least-squares fit of the last periods therefore contains a sine and a cosine at each line,
+and the decaying shapes of the free motion. The fit cannot hide a wrong frequency response, because no decaying motion resembles
+a line over a whole period.
 """
 
 import math
@@ -41,7 +41,8 @@ PATIENCE = 10.0
 # s, smallest length of the evaluated end of a run; over this length, a fit separates slow free motion from the lines
 TOLD_APART = 5.0
 ENTRIES = 2e7  # largest number of values in a batch; the roads of a full car in a single batch would take gigabytes
-# Smallest number of samples in the whole periods; it keeps the frequency within 0.03 % of the requested one
+# Smallest number of evaluated samples, which contain an integer number of periods; the frequency is then within 0.03 % of the
+# requested one
 FINEST = 2000
 
 
@@ -52,9 +53,9 @@ class PeriodicRoad:
     Attributes:
         road: periodic road over which the run drives.
         omega: frequencies of the road [rad/s], shape (F,).
-        samples: number of samples in the whole periods at the end of the run.
-        fitted: True to fit lines and free motion to these periods; False to use the signals themselves, in which free motion must
-            have decayed.
+        samples: number of samples that are evaluated at the end of the run; they contain an integer number of periods.
+        fitted: True to fit lines and free motion to these samples; False to use the signals without a fit, after free motion
+            has decayed.
     """
 
     road: Road
@@ -89,7 +90,7 @@ class PeriodicRun:
         return self.controller, loop_of(self.vehicle, self.controller, self.timestep)
 
     def last_periods(self) -> Response:
-        """Returns the last whole periods of the run, without slow free motion. The controller must be linear."""
+        """Returns the evaluated periods at the end of the run, without slow free motion. The controller must be linear."""
         _, loop = self._loop
         _, slow = settling_of(loop, LEFT_IN_SIGNALS)
         told = self.response.samples(slice(-_read(loop, slow, self.on.samples), None))
@@ -100,8 +101,8 @@ class PeriodicRun:
         """Returns the complex amplitude of each line, shape (F,), by name of the signal. The controller must be linear.
 
         Args:
-            with_images: True to fit also the images of the lines, see `images`. If the samples contain whole periods of both the
-                road and the controller's sampling, images are orthogonal to the lines and need no fit.
+            with_images: True to fit also the images of the lines, see `images`. If the samples contain an integer number of
+                periods of both road and controller sampling, images are orthogonal to the lines and need no fit.
         """
         (controller, loop), omega = self._loop, self.on.omega
         response = self.response.samples(slice(-self.on.samples, None))
@@ -123,7 +124,8 @@ class PeriodicRun:
 def drive_periodic(
     vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[PeriodicRoad], timestep: float
 ) -> Iterator[PeriodicRun]:
-    """Yields the MuJoCo runs of N controllers, each over its own periodic road. Each run ends with whole periods of its road.
+    """Yields the MuJoCo runs of N controllers, each over its own periodic road. The samples at the end of each run contain an
+    integer number of periods of its road.
 
     Args:
         vehicle: vehicle in equilibrium, without noise and quantisation.
@@ -142,7 +144,9 @@ def drive_periodic(
 
 
 def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Sequence[Road], time: Array) -> Iterator[Response]:
-    """Yields the MuJoCo responses of controllers, each over its own road. The memory limits the number of runs in a batch."""
+    """Yields the MuJoCo responses of controllers, each over its own road. The runs are divided into batches that fit into
+    memory.
+    """
     at_once = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
     for first in range(0, len(roads), at_once):
         some = slice(first, first + at_once)
@@ -153,12 +157,13 @@ def responses(vehicle: Vehicle, controllers: Sequence[AnyController], roads: Seq
 def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, timestep: float) -> int:
     """Returns the number of samples of a run: the evaluated samples, and the samples before them in which free motion decays.
 
-    - If lines are fitted, the remaining free motion is fitted as well. The run then has the same number of samples before the
-      evaluated samples.
-    - A controller whose sample period is longer than the timestep causes additional lines, which resemble free motion. Free
-    motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same applies if the
-    signals themselves are used. - The free motion of nonlinear laws is unknown. Runs of nonlinear laws have twice as many samples
-      before the evaluated samples. The second half of these samples shows whether the run has settled.
+    - If lines are fitted, the remaining free motion is fitted, too. The number of samples before the evaluated samples is then
+      equal to that of the evaluated samples.
+    - If the controller's sample period is longer than the timestep, there are additional lines, which resemble free motion.
+      Free motion must therefore decay before the evaluated samples, except slow motion, which is subtracted. The same is true
+      if the signals are used without a fit.
+    - The free motion of a nonlinear law is unknown. The number of samples before the evaluated samples is then twice that of
+      the evaluated samples. The second half of these preceding samples shows whether the run has settled.
     """
     steps = steps_per_sample(vehicle.implementation, timestep)
     if controller.linear is not True:
@@ -173,7 +178,7 @@ def _length(vehicle: Vehicle, controller: AnyController, on: PeriodicRoad, times
 
 
 def _read(loop: Loop, slow: Array, samples: int) -> int:
-    """Returns the number of evaluated samples if the signals themselves are used; slow modes require more samples."""
+    """Returns the number of samples that are evaluated if the signals are used without a fit; slow modes require more samples."""
     return max(samples, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(slow) else samples
 
 
@@ -181,8 +186,8 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
     """Returns the frequencies of a chirp and the number of samples in its period.
 
     The frequencies are evenly spaced on a logarithmic scale from `LOWEST` to `HIGHEST`. Each frequency is a multiple of the
-    lowest one. The period contains an integer number of the controller's sample periods, so images of the lines do not disturb
-    the fit.
+    lowest one. The period contains an integer number of the controller's sample periods, so aliases (images) of the lines do
+    not disturb the fit.
 
     Args:
         vehicle: vehicle with the sample period of the controller.
@@ -200,7 +205,8 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
-    """Returns a number of periods and a number of samples such that these periods in these samples have a frequency near `omega`.
+    """Returns a number of periods and a number of samples; this many periods in this many samples have a frequency near
+    `omega`.
 
     Args:
         omega: requested frequency [rad/s].
@@ -226,7 +232,8 @@ def settled_sinusoid(periods: int, count: int, height: float, timestep: float, s
 
 
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
-    """Returns the frequencies of the largest images [rad/s], which sampling causes around multiples of the sample rate.
+    """Returns the frequencies [rad/s] of the largest aliases (images) of the lines, which are near multiples of the
+    controller's sample rate.
 
     Images exist only if the sample period of the controller is longer than the timestep.
     """
@@ -238,7 +245,8 @@ def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
 
 
 def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
-    """Returns the settling time over a periodic road [s], and the discrete poles of the motion that remains after this time.
+    """Returns the settling time over a periodic road [s], and the discrete-time poles of the motion that remains after this
+    time.
 
     Args:
         loop: loop of the vehicle that drives over the road.
@@ -265,7 +273,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
 
 
 def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Array) -> Response:
-    """Returns the end of a run over a periodic road without its mean and its slowest modes, which are fitted by least squares.
+    """Returns the end of a run over a periodic road, minus its mean and its slowest modes, which are fitted by least squares.
 
     From one sample to the next, the phase of each line advances by an angle, and each mode is multiplied by its pole. Over many
     samples, a decaying mode and a line differ clearly.
@@ -273,7 +281,7 @@ def _without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Ar
     Args:
         loop: loop of the vehicle that drives over the road.
         response: end of the run, long enough to separate modes and lines.
-        poles: discrete poles of the slow modes per sample period.
+        poles: discrete-time poles of the slow modes, for one sample period.
         turns: phase advance of each line per sample period [rad], shape (L,).
     """
     if not len(poles) or not np.all(np.isfinite(response.values)):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Result of the study.
+    """Results of the study.
 
     Attributes:
         lines: frequency responses of the linear controllers.
@@ -41,7 +41,7 @@ class Responses:
     own: Sequence[DescribingFunction]
 
     def each(self, names: Sequence[str]) -> list[Sweep | DescribingFunction]:
-        """Returns the results of all controllers in the order of their names."""
+        """Returns the results of all controllers in the order of the controllers' names."""
         return sorted([*self.sweeps, *self.own], key=lambda one: names.index(one.controller.name))
 
 

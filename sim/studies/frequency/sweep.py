@@ -24,10 +24,10 @@ from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Relative difference of a response that body rotations may cause, in addition to the known error of RK4. On roads of 0.1 mm,
-# rotations cause only 3e-7.
+# rotations cause a relative difference of only 3e-7.
 TOLERANCE = 1e-4
-# Height of the lower road relative to the original road, and smallest height [m]. Body rotations cause smaller differences on a
-# lower road.
+# Height of the lower road relative to the requested road, and smallest height [m]. Body rotations cause smaller differences on
+# a lower road.
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6
 ABOVE = 1e-5  # relative amount by which a gain may exceed the norm, because of remaining free motion
 NORM_TOLERANCE = 1e-3  # relative amount by which a gain may be below the norm
@@ -84,7 +84,7 @@ def sweep(
     speed: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Sweep]:
-    """Measures the sweep of each linear controller.
+    """Measures the frequency response, the largest gains and the minimum tyre loads of each linear controller.
 
     Arguments and errors are those of `sim.studies.frequency.identification.measure_responses`. The callback `progress` receives
     the names of the two stages, `LINES` and `EXTREMES`.
@@ -184,8 +184,8 @@ def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float
     Args:
         road: name of the road whose gain is checked.
         gains: measured gain over each road, by name of the road.
-        what: name of the reference value in the text.
-        value: reference value, which the text states.
+        what: name of the reference value, for the text.
+        value: reference value; the text contains it.
         low, high: smallest and largest allowed gain.
     """
     if low <= gains[road] <= high:

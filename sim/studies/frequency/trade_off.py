@@ -1,4 +1,4 @@
-"""The section of a report about a trade-off: the front, its proved lower bound, and gains of some designs in MuJoCo."""
+"""The report section about a trade-off: the front of designs, the proved lower bound, and the gains of some designs in MuJoCo."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -64,7 +64,7 @@ SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
 def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
-    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if it cannot be measured.
+    """Returns the gain of a design in MuJoCo on the sinusoid at which its norm is reached; NaN if this gain cannot be measured.
 
     Args:
         scope: subject of the report, with its vehicle, controllers and runs.
@@ -93,10 +93,11 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
-    """Returns a frequency [rad/s] at which a norm is reached or nearly reached in MuJoCo; NaN if there is no such frequency.
+    """Returns a frequency [rad/s], not too low for a run in MuJoCo, at which the norm is (nearly) reached; NaN if there is no
+    such frequency.
 
     Args:
-        vehicle: vehicle with the outputs of the norm.
+        vehicle: vehicle whose outputs are those of the norm.
         controller: controller that closes the loop.
         norm: value of the H-infinity norm.
         at: frequency at which the loop reaches the norm [rad/s]; may be 0.
@@ -115,7 +116,7 @@ class FrontStudy(Study[Document]):
     seconds = 30.0
 
     def check_page(self, scope: Subject) -> None:
-        """Checks the axes and the entry of the front."""
+        """Checks the axes of the front, and that its designs can be based on the default controller."""
         if scope.front is not None:
             axes_of(scope.vehicle, scope.front)
             entry_of(scope.vehicle, usual(scope.vehicle))
@@ -125,5 +126,5 @@ class FrontStudy(Study[Document]):
         return {} if scope.front is None else {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> Document:
-        """Returns the section of the trade-off."""
+        """Returns the report section about the trade-off."""
         return front_section(request, progress)

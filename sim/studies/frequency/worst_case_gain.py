@@ -78,8 +78,8 @@ class Extremes:
     Attributes:
         worst: discrete-time norm of the sampled loop, and frequency of its worst sinusoid. The road is constant during each
             timestep, as in MuJoCo; `synth.analysis.sampled_norm` does not assume this.
-        integrated: discrete-time norm of the loop if RK4 integrates it.
-        tried: frequency of the simulated sinusoid near the worst one [rad/s].
+        integrated: discrete-time norm of the loop if RK4 integrates its equations of motion.
+        tried: frequency of the simulated sinusoid, which is near the worst one [rad/s].
         predicted: gain at `tried` with all harmonics, for the timestep and for half the timestep; empty if `lti` is True.
         gains: L2 gains from w to z measured in MuJoCo, by road; only for the worst sinusoid if the road has a filter.
         invariants: transmissibilities of this vehicle that no suspension force can change.
@@ -142,7 +142,9 @@ def extremes(
 
 
 def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -> PeriodicRoad | None:
-    """Returns a road with the frequencies of the vehicle's invariants, evaluated over half of a run; None if there are none."""
+    """Returns a road with the frequencies of the vehicle's invariants, for evaluation over the second half of a run; None
+    without invariants.
+    """
     omega = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants_of(vehicle.parameters)]
     if not omega:
         return None
@@ -151,8 +153,10 @@ def _invariants(vehicle: Vehicle, amplitude: float, time: Array, speed: float) -
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
-    """Returns the numbers of periods and samples as `whole_periods` does, but with a frequency close enough to a narrow peak."""
-    # The number of controller samples in the whole periods must also be an integer
+    """Returns numbers of periods and samples as `whole_periods` does, for a frequency at which the gain is close to a narrow
+    peak.
+    """
+    # The evaluated periods must also contain an integer number of controller samples
     steps = steps_per_sample(vehicle.implementation, timestep)
     finest = math.ceil(FINEST / steps)
     periods, count = whole_periods(worst.omega, timestep * steps, finest)
@@ -166,7 +170,7 @@ def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, tim
 
 
 def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
-    """Returns the invariants of a vehicle, measured at the end of a run over the road of `_invariants`."""
+    """Returns the invariant transmissibilities of a vehicle, measured at the end of a run over the road of `_invariants`."""
     p, kind = run.vehicle.parameters, run.vehicle.kind
     lines = run.lines(with_images=True)
     road = lines[kind.wheels[0].road_displacement]

@@ -46,7 +46,9 @@ SOURCES = (
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> Road:
-    """Returns the road of a table. Without the key `type`, a table with `edge` is a step, and any other table is a bump."""
+    """Returns the road that a TOML table defines. Without the key `type`, a table with `edge` is a step, and any other table is
+    a bump.
+    """
     if not isinstance(value, Mapping):
         raise InputError(f"{HERE} = {short_repr(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
     return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
@@ -90,14 +92,14 @@ class PrintedNumber(Section):
 
     @property
     def shown(self) -> str:
-        """Published value with its digits and unit, in brackets if the value is derived."""
+        """Published value with its digits and unit; in brackets if the value follows from data or a formula of the source."""
         text = f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
         return f"({text})" if self.derived else text
 
 
 @dataclass(frozen=True)
 class MissingNumber(Section):
-    """A published number that cannot be compared, because no vehicle file can express its model."""
+    """A published number that cannot be compared, because no vehicle file can express the model of the source."""
 
     what: Annotated[str, Text("description of the number")]
     why: Annotated[str, Text("reason for the missing number, in a line")]
@@ -132,7 +134,7 @@ def names() -> list[str]:
 
 
 def read_entry(name: str) -> Entry:
-    """Returns an entry by its name.
+    """Returns the entry with this name.
 
     Raises:
         InputError: the entry does not exist, or its file has an unknown key.

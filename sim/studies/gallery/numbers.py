@@ -39,7 +39,7 @@ class ComparedNumber:
         printed: number as the source published it.
         exact: value that linear analysis gives.
         mujoco: value that is measured in a MuJoCo run; None if the number cannot be measured in a run.
-        grid: value from linear analysis at the sample times of the source; None if these are unknown.
+        grid: value from linear analysis at the sample times of the source; None if these times are unknown.
     """
 
     printed: PrintedNumber
@@ -73,7 +73,7 @@ def _designer(path: str) -> Designer:
 
 
 def designer_of(entry: Entry, one: PrintedNumber) -> Designer:
-    """Returns the designer for the vehicle of a number."""
+    """Returns the `Designer` for the vehicle to which a published number refers."""
     return _designer(one.vehicle if one.what == "paper" else str(entry.folder / one.vehicle))
 
 
@@ -151,7 +151,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
     """Returns a function that computes a metric of a signal's step response in the continuous loop.
 
     Args:
-        key: name of the step-response metric, one of `OF_A_STEP`.
+        key: name of the step-response metric, a key of `OF_A_STEP`.
     """
 
     def found(designer: Designer, one: PrintedNumber) -> float:
@@ -165,7 +165,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
 
 
 def run_of_number(designer: Designer, one: PrintedNumber) -> Run:
-    """Returns the run from which a number comes. Numbers with the same run share one `Run` object."""
+    """Returns the run in which a published number is measured. Numbers with the same run share one `Run` object."""
     return _run(designer, one.controller, one.road, one.duration, one.timestep)
 
 
@@ -176,7 +176,7 @@ def _run(designer: Designer, controller: str, road: Road, duration: float, times
 
 
 def pieces_of(designer: Designer, one: PrintedNumber) -> Pieces:
-    """Returns the signal of a number over its run, exact between samples."""
+    """Returns the signal to which a published number refers, over its whole run and exact between samples."""
     return _pieces(run_of_number(designer, one))[one.signal]
 
 
@@ -191,7 +191,9 @@ def _steps(run: Run, band: float) -> dict[str, SignalSteps]:
 
 
 def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
-    """Returns a number's value in MuJoCo [SI]; None if no run can show it, or the run leaves the linear regime."""
+    """Returns a number's value in MuJoCo [SI]; None if the number cannot be measured in a run, or the run leaves the linear
+    regime.
+    """
     if one.what not in OF_A_RUN or one.what == "recovery" or not math.isinf(run_of_number(designer, one).agreement.until):
         return None
     run = run_of_number(designer, one)
@@ -201,7 +203,7 @@ def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
 
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
-    """Computes a number from the signal at the source's sample times alone; returns the number in SI units.
+    """Computes a number only from the signal at the source's sample times; returns the number in SI units.
 
     A settling or recovery time ends at the first sample after which the signal stays within the band.
     """

@@ -1,8 +1,9 @@
 """Worst bound, margins and ride of a controller over the vehicles that are consistent with the logs.
 
-The logarithms of the p estimated parameters have a 95 % confidence ellipsoid. Its axes have 2 p ends, and each end is one
-vehicle. With the estimate itself, there are 2 p + 1 vehicles. Each controller is designed for the estimate. Its bound is then
-certified in exact arithmetic for each of these vehicles. Nothing is proved for vehicles in between.
+The logarithms of the p estimated parameters have a 95 % confidence ellipsoid. The axes of this ellipsoid have 2 p ends, and
+each end corresponds to one vehicle. Together with the estimated vehicle, these are 2 p + 1 vehicles. Each controller is
+designed for the estimate. Its bound is then certified in exact arithmetic for each of these vehicles. Nothing is proved for
+other vehicles within the ellipsoid.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,7 @@ def allowed_vehicles(of: Identification) -> list[Vehicle]:
 
 
 def allowed_results(of: Identification, names: Sequence[str] = ()) -> list[AllowedResult]:
-    """Returns the results of controllers over the vehicles that are consistent with the logs.
+    """Returns the bounds, margins and ride of controllers over the vehicles that are consistent with the logs.
 
     Args:
         names: names of controllers with a linear law; by default all controllers of the vehicle file with a linear law, except

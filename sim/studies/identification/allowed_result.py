@@ -1,4 +1,4 @@
-"""Result of a controller over the vehicles that are consistent with the logs."""
+"""Results of a controller over the vehicles that are consistent with the logs."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ class AllowedResult:
         name: name of the controller.
         bound: proved bound on the norm for the estimated vehicle; None if nothing is proved.
         worst_bound: largest proved bound of all vehicles; None if nothing is proved for one of the vehicles.
-        gain_margin: smallest gain margin of all vehicles; infinite if no gain makes a loop unstable.
-        disk_margin: smallest disk margin of all vehicles; None if no loop has a disk margin.
-        ride: expected ride of the estimated vehicle on an average road [m/s2]; None if it cannot be computed.
+        gain_margin: smallest gain margin over all vehicles; infinite if no gain makes a loop unstable.
+        disk_margin: smallest disk margin over all vehicles; None if no loop has a disk margin.
+        ride: expected ride of the estimated vehicle on an average road [m/s2]; None if this ride cannot be computed.
         worst_ride: largest expected ride of all vehicles [m/s2].
         vehicles: number of vehicles.
     """

@@ -1,4 +1,4 @@
-"""A first map of logs, guessed from the headings of their columns alone."""
+"""First version of a map file (which column contains which signal), guessed only from the column headings of the logs."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,7 +45,7 @@ NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """A column that seems to contain a signal.
+    """A column of a log that seems to contain a signal of the vehicle.
 
     Attributes:
         signal: name of the signal that the column seems to contain.
@@ -64,7 +64,7 @@ def _words(text: str) -> frozenset[str]:
 
 
 def guess(heading: Heading, units: Mapping[str, str]) -> ColumnGuess | None:
-    """Returns the signal that a heading seems to name; None if it names no signal or has the unit of another quantity.
+    """Returns the signal that a heading seems to name; None if it names no signal, or if its unit does not fit the signal.
 
     Args:
         units: SI units of the vehicle's signals, by name.
@@ -104,7 +104,7 @@ def read_headings(path: Path, units: Mapping[str, str]) -> list[Heading]:
 
 
 def map_text(paths: Sequence[Path], vehicle: Vehicle) -> str:
-    """Returns a first map of logs: a section for each heading that names a signal, and the other headings as comments.
+    """Returns a first map file for logs: a section for each heading that names a signal, and the other headings as comments.
 
     Raises:
         InputError: a file is not a table with headings, or was written by `bump` or `drive` and therefore needs no map.

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 
 class IdentifyStudy(Study["Result"]):
-    """Identifies a vehicle from logs. With --columns it returns a first map of the logs, and with --plan it plans a test."""
+    """Identifies a vehicle from logs. With --columns, it returns a first map file for the logs; with --plan, it plans a rig
+    test.
+    """
 
     description = (
         "Identify the parameters of a vehicle from measured logs, with intervals, and show what the logs do not determine."

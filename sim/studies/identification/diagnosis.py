@@ -1,13 +1,13 @@
 """Diagnosis of a misfit: a delay, a wrong factor, sign or offset, friction, tyre damping, lift-off, or a resonance.
 
-A cause changes the predicted signals in a known direction g. The part of g that the unknowns can also produce is removed from
-it. A least-squares fit of the rest to the residuals gives the size of the cause. The share of a cause is the part of the
-residuals' sum of squares that it explains. This share is the score (Lagrange multiplier) statistic of one more parameter,
-divided by the number of residuals. The cause with the largest statistic is taken first. The other causes are then tested again
-on the residuals that this cause does not explain.
+Each cause changes the predicted signals in a known direction g. The part of g that a change of the unknowns (such as the
+parameters) could also produce is removed. The rest of g is fitted to the residuals by least squares, which gives the size of
+the cause. The share of a cause is the part of the residuals' sum of squares that it explains. This share is the score (Lagrange
+multiplier) statistic of one more parameter, divided by the number of residuals. The cause with the largest statistic is taken
+first. The other causes are then tested again on the residuals that this cause does not explain.
 
-Friction builds up over a displacement (Dahl model). Several displacements are tried and the best one is used, because a short
-displacement alone does not find friction that a small motion fails to overcome.
+Friction builds up over a displacement (Dahl model). Several displacements are tried, and the best one is used: a short
+displacement alone does not detect friction that small motion fails to overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -67,10 +67,10 @@ SETS_IN = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # displacements over which frictio
 
 
 def check_columns(problem: IdentificationProblem) -> list[str]:
-    """Compares the columns with the initial vehicle before the fit; returns remarks.
+    """Compares the measured columns with the signals of the initial vehicle before the fit; returns remarks.
 
     Raises:
-        InputError: a column seems to have another unit than the map states, or the opposite sign.
+        InputError: a column seems to have a different unit than the map states, or the opposite sign.
     """
     remarks = list[str]()
     for one, prediction in zip(problem.experiments, problem.predictions, strict=True):
@@ -139,7 +139,9 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
 
 
 def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
-    """Yields for each possible cause a function that describes its size, and the change of all residuals per unit of size."""
+    """Yields a pair for each possible cause: a function that describes its size, and the change of all residuals per unit of
+    size.
+    """
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
         late = [np.zeros_like(one) for one in of.predicted]
@@ -186,7 +188,7 @@ def _gain_words(signal: str, coefficient: float) -> str:
 
 
 def _lag(of: Estimate, signal: str) -> float:
-    """Returns the delay [s] at which a measured signal correlates best with the predicted one, interpolated by a parabola."""
+    """Returns the delay [s] at which a measured signal correlates best with the predicted signal, interpolated by a parabola."""
     total, step = np.zeros(2 * LAGS + 1), of.problem.experiments[0].step
     for one, predicted in zip(of.problem.experiments, of.predicted, strict=True):
         if signal not in one.signals or one.step != step or len(predicted) <= 4 * LAGS:
@@ -278,7 +280,7 @@ def resonances(of: Estimate) -> list[str]:
 
 
 def airborne(of: Estimate) -> list[tuple[int, Array]]:
-    """Returns the index of each experiment in which a wheel leaves the ground, and True for each of its samples in the air."""
+    """Returns each experiment in which a wheel leaves the ground: its index, and an array that is True for samples in the air."""
     each = list[tuple[int, Array]]()
     for i, one in enumerate(of.problem.predictions):
         if one.experiment.hubs or one.experiment.part:

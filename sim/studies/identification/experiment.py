@@ -1,6 +1,7 @@
 """Experiments. Each is a stretch of a measured log at equidistant times, with the inputs of the vehicle and the sensor signals.
 
-On a dyno, one part of the vehicle is moved alone. The extension of the part is given, and the force is measured.
+On a dyno, a single part of the vehicle (such as a damper) is moved. The extension of the part is given, and the force is
+measured.
 """
 
 from collections.abc import Mapping
@@ -56,18 +57,18 @@ class Experiment:
     Attributes:
         name: name of the log, followed by the name of the stretch if the log has several.
         step: time between two samples [s].
-        road: road heights under the r wheels [m], shape (T, r); with `hubs`, vertical accelerations of the r hubs [m/s2]. Values
-            are interpolated linearly between samples.
+        road: road heights under the r wheels [m], shape (T, r); if `hubs` is True, vertical accelerations of the r hubs [m/s2].
+            Values are interpolated linearly between samples.
         forces: control forces [N], shape (T, m).
         channels: measured signals, one for each sensor.
         added: additions to parameters of the vehicle file, such as a payload, by name [SI].
         from_rest: True if the vehicle starts in equilibrium on the first road height; False if the starting state is estimated.
-        hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
+        hubs: True if the road is unknown, and the measured accelerations of the hubs are the inputs instead.
         forces_held: True if each force is held until the next sample, as by a computer; False if forces are interpolated
             linearly.
         road_held: True if the height halfway between two samples is held over the step, as in MuJoCo.
-        part: name of a force element of the vehicle that a dyno moves alone; empty for a vehicle. `road` is then the extension of
-            the part.
+        part: name of the force element that a dyno moves; empty if the whole vehicle is measured.
+            If a part is named, `road` is its extension.
         start: time of the first sample on the log's clock [s].
         random: random road with an unknown profile and a spectrum of known form; None for any other road.
     """

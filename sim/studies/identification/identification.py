@@ -62,7 +62,7 @@ class Identification:
 
     Attributes:
         estimate: estimated parameters with their covariance.
-        intervals: 95 % interval of each free parameter that the logs determine by itself, by name.
+        intervals: 95 % interval of each free parameter that the logs determine individually (not only in a product), by name.
         causes: causes of a misfit in the residuals.
         remarks: remarks on the logs and their columns.
         mirror: parameter values of a second solution that fits equally well, by name; empty if none is known.
@@ -88,14 +88,14 @@ class Identification:
 
     @property
     def determined(self) -> tuple[str, ...]:
-        """Free parameters that the logs determine by themselves, rather than only in a product."""
+        """Free parameters that the logs determine individually, rather than only in a product."""
         return tuple(self.intervals)
 
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-    """Returns a vehicle with other parameter values. If a table replaces a parameter, the table is scaled to the new value.
+    """Returns the vehicle with changed parameter values. If a table replaces a parameter, the table is scaled to the new value.
 
-    Values of a random road are ignored.
+    Parameters of a random road are ignored.
     """
     values = {name: value for name, value in values.items() if name not in ROAD_UNITS}
     optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
@@ -116,8 +116,9 @@ def free_parameters(
     Args:
         fix: names of parameters that keep their values.
         free: names of further free parameters; a damping that is zero in the file starts at a small value.
-        parts: names of the parts whose logs are given; the empty name stands for logs of the vehicle. All numbers of a part on a
-            dyno are free except voltages and bandwidths. If all logs are of parts, the parameters of the vehicle are not free.
+        parts: names of the parts whose logs are given; the empty name stands for logs of the vehicle. All numbers of a part on
+            a dyno are estimated, except voltages and bandwidths. If all logs are of parts, no parameters of the vehicle are
+            estimated.
 
     Raises:
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.
@@ -170,7 +171,7 @@ def identify(
 
     Args:
         logs: paths of the log files; see `sim.studies.identification.reading` for their formats.
-        vehicle: vehicle with the initial values. Everything that is not free stays unchanged.
+        vehicle: vehicle with the initial values. Parameters that are not free keep their values.
         log_map: map from columns to signals; None for logs whose headings are names of signals.
         fix: names of parameters that keep their initial values.
         free: names of further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
@@ -178,7 +179,7 @@ def identify(
         seed: random seed from which further starting points are drawn.
 
     Raises:
-        InputError: a file is wrong, a column seems to have another unit or sign, or the logs determine no parameter.
+        InputError: a file is wrong, a column seems to have the wrong unit or sign, or the logs determine no parameter.
     """
     own = log_map if isinstance(log_map, LogMap) else read_map(log_map, vehicle)
     named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
@@ -304,6 +305,8 @@ def _mirror(
 
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
-    """Returns the fits of a log that was not used for the estimate. Only its starting state and offsets are estimated."""
+    """Returns the fit of each signal in each stretch of a log that was not used for the estimate. Only its starting state and
+    offsets are estimated.
+    """
     residuals = Residuals(replace(of.problem, first=of.values, experiments=log.experiments, known=()), ())
     return list(zip(log.experiments, residuals.fits(first_unknowns(residuals)), strict=True))

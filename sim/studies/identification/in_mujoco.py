@@ -14,7 +14,7 @@ MOST = 60.0  # s, longest part of an experiment that is simulated in MuJoCo
 def difference_in_mujoco(of: Estimate) -> dict[str, float]:
     """Returns the largest difference between MuJoCo and the prediction in the first experiment, relative to each signal's peak.
 
-    The result is empty if control forces act, a part is alone on a dyno, or the road is unknown: these cannot be simulated.
+    The result is empty if the run cannot be simulated: control forces act, a part is on a dyno, or the road is unknown.
     """
     from sim.runs.run import run_controllers
     from synth.vehicle.designer import design

@@ -66,7 +66,7 @@ class SensorSection(Section):
 
 @dataclass(frozen=True)
 class LogKeys(Section):
-    """Keys of a map, for all logs or for one log."""
+    """Keys of a map file, which apply to all logs or to one log."""
 
     road: Annotated[str, Text("logged, flat, unknown, or a road as for roadproof drive; a random road is not measured")] = LOGGED
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
@@ -85,7 +85,7 @@ class LogKeys(Section):
 
 @dataclass(frozen=True)
 class MapFile(LogKeys):
-    """Content of a map: keys for all logs, then tables."""
+    """Content of a map file: keys that apply to all logs, followed by tables."""
 
     signals: Annotated[Mapping[str, Any], AnyTable("signals by name")] = field(default_factory=dict[str, Any])
     known: Annotated[Mapping[str, Any], AnyTable("known parameters")] = field(default_factory=dict[str, Any])
@@ -100,7 +100,7 @@ class LogMap:
         keys: keys that apply to all logs.
         sensors: section of each signal in the map, by name.
         known: combinations of parameters that are known from elsewhere.
-        of_logs: keys that apply to one log only, by file name of this log.
+        of_logs: keys that apply only to a single log, by file name of this log.
         source: path of the map; empty if there is no map file.
     """
 
@@ -116,7 +116,7 @@ class LogMap:
 
 
 def read_map(path: Path | None, vehicle: Vehicle) -> LogMap:
-    """Reads a map. Without a path, it returns a map for logs whose columns have the names of signals.
+    """Reads a map. Without a path, the result is a map for logs whose columns have the names of signals.
 
     Raises:
         InputError: the file is not a map of this vehicle.

@@ -6,7 +6,7 @@ v, z), where f is defined by the part (`models.parts`). The trapezoidal rule
     z[k+1] - z[k] = h/2 (f[k] + f[k+1])
 
 on fine steps h is solved for all steps simultaneously by Newton's method. Each equation contains two consecutive steps only, so
-the matrix is banded. The same matrix gives the derivatives of z with respect to the part's numbers and to z[0].
+the matrix is banded. The same matrix also gives the derivatives of z with respect to the part's numbers and to z[0].
 """
 
 import math
@@ -36,10 +36,10 @@ class PartPrediction(LogPrediction):
     """Predicted force of a part on a dyno; see `Experiment.part`."""
 
     def part(self, vehicle: Vehicle) -> Part:
-        """Returns the experiment's part of a vehicle.
+        """Returns the part of a vehicle that an experiment measures on a dyno.
 
         Raises:
-            InputError: the vehicle does not have it.
+            InputError: the vehicle does not have this part.
         """
         return part_of(vehicle, self.experiment.part)
 
@@ -126,10 +126,10 @@ def _solve(bands: Array, right: Array, n: int) -> Array:
 
 
 def part_of(vehicle: Vehicle, name: str) -> Part:
-    """Returns the part of `[parts.NAME]`.
+    """Returns the part that the section `[parts.NAME]` defines.
 
     Raises:
-        InputError: the vehicle does not have it.
+        InputError: the vehicle does not have this part.
     """
     parts = {one.name: one.part for one in vehicle.elements}
     if name not in parts:

@@ -31,7 +31,7 @@ APART = 0.3  # relative difference between the frequencies at which two posts st
 
 @dataclass(frozen=True)
 class ChirpPlan:
-    """A chirp, and the accuracy with which it determines the parameters.
+    """A chirp, and the predicted accuracy of the parameters that it would determine.
 
     Attributes:
         duration: length of the chirp [s].
@@ -49,7 +49,7 @@ class ChirpPlan:
 
     @property
     def worst(self) -> float:
-        """The largest relative standard deviation."""
+        """The largest relative standard deviation of any parameter."""
         return max(self.deviations.values())
 
 
@@ -71,7 +71,7 @@ def chirp(duration: float, low: float, high: float, step: float) -> Array:
 
 
 def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[ChirpPlan]:
-    """Returns chirps for all posts, sorted by their worst relative standard deviation, the best first.
+    """Returns chirps for all posts, sorted by the largest relative standard deviation of any parameter, smallest first.
 
     Different posts start at different frequencies, so that all modes of the body are excited.
 
@@ -101,7 +101,7 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
 
 
 def _loads(vehicle: Vehicle, road: Array) -> float:
-    """Returns the largest ratio of tyre motion to static compression, or of suspension motion to travel, on this road."""
+    """Returns the largest ratio of tyre motion to static compression, or of suspension motion to available travel, on a road."""
     limits = {name: abs(one) for name, one in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()}
     limits |= {place.deflection: TRAVEL for place in vehicle.kind.suspensions}
     names = [name for name in limits if name in vehicle.linear_model.outputs]

@@ -9,8 +9,8 @@ exponential for [x; v; v'] gives the exact step from sample to sample. The same 
 a delayed sensor at any time within the step.
 
 The matrices of a step are differentiated by central differences. The recursion that computes the response then also gives the
-derivatives of the response. The relative error of the derivatives is about 1e-10 for logs of any length, the same as for the
-matrices.
+derivatives of the response. The relative error of the derivatives is about 1e-10, as for the matrices, and does not grow with
+the length of the log.
 
 A vehicle with force elements or tables is integrated by RK4 (`sim.linear.stepped`). Derivatives are then finite differences of
 responses.
@@ -54,7 +54,9 @@ class PredictedSignals:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """Matrices of a step, x[k+1] = Phi x[k] + Gamma [v; v'], and rows that give channels and rates from [x; v; v']."""
+    """Matrices of a step, x[k+1] = Phi x[k] + Gamma [v; v'], and rows that multiply [x; v; v'] to give the channels and their
+    rates.
+    """
 
     Phi: Array
     Gamma: Array
@@ -87,7 +89,7 @@ class LogPrediction:
 
     @cached_property
     def _inputs(self) -> tuple[Array, Array]:
-        """Inputs and their rates over the step after each sample, and at each sample, each of shape (T, 2 v).
+        """Inputs and their rates, over the step after each sample and at each sample, each of shape (T, 2 v).
 
         The rate at a sample is the mean of the rates before and after. This mean is the true rate if the road is smooth.
         """
@@ -123,10 +125,11 @@ class LogPrediction:
 
         Args:
             values: values of all parameters [SI].
-            free: typical size of each of the p parameters with respect to which the signals are differentiated, by name.
+            free: names of the p parameters with respect to which the signals are differentiated, each with a typical size of
+                the parameter.
             start: state of the vehicle at the start, shape (n,); None for equilibrium.
             delays: delay of the sensor of each channel [s].
-            derivatives: False if derivatives are not needed; they are then empty or zero.
+            derivatives: False if derivatives are not needed; the result then contains empty or zero derivatives.
         """
         if self.vehicle(values).parts.nonlinear:
             return self._stepped(values, free, start, delays, derivatives)
@@ -151,7 +154,7 @@ class LogPrediction:
         return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, delays))
 
     def signals(self, names: Sequence[str], values: Mapping[str, float], start: Array | None) -> Array:
-        """Returns other signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
+        """Returns the named signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
         channels = tuple(Channel(name, np.zeros(len(self.experiment.road))) for name in names)
         other = LogPrediction(replace(self.experiment, channels=channels), self._vehicle)
         return other(values, {}, start, [0.0] * len(names), False).values
@@ -246,7 +249,7 @@ class LogPrediction:
 
 
 def padded(values: Array) -> Array:
-    """Returns the values extended by one sample before and two after, by point reflection at the ends, shape (T + 3, r)."""
+    """Returns the values with one additional sample before and two after, by point reflection at the ends, shape (T + 3, r)."""
     return np.pad(values, ((1, 2), (0, 0)), mode="reflect", reflect_type="odd")
 
 
@@ -258,7 +261,9 @@ def midpoints(values: Array) -> Array:
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns two sets of parameters: one parameter is increased by a step, or decreased by a step but not below zero."""
+    """Returns two sets of parameters: in the first, one parameter is larger by a step; in the second, it is smaller by the
+    step, but not below zero.
+    """
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 
 

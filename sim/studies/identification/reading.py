@@ -183,7 +183,7 @@ def _channel(name: str, values: Array, of: SensorSection) -> Channel:
 
 
 def _grid(time: Array) -> tuple[float, Array, float, list[str]]:
-    """Returns the step of equidistant times, the index of each sample, the largest deviation of a time [s], and remarks."""
+    """Returns the interval of equidistant samples, the index of each sample, the largest deviation of a time [s], and remarks."""
     diffs = np.diff(time)
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
@@ -214,7 +214,7 @@ def _resolution(time: Array) -> float:
 
 
 def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
-    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if the heights need no offset."""
+    """Returns road heights under the wheels or hub accelerations, shape (T, r), and True if no height has an unknown offset."""
     if keys.road == FLAT:
         return np.zeros((len(time), len(names))), True
     if keys.road in ROADS:
@@ -322,7 +322,7 @@ def runs(true: Array) -> list[tuple[int, int]]:
 
 
 def _slow(road: Array, step: float, late: float) -> list[str]:
-    """Returns a remark if most of the road's motion is too fast for the sampling.
+    """Returns a remark if most of the road's motion is too fast for the sample rate of the log.
 
     Args:
         late: largest error of the sample times [s].

@@ -18,7 +18,7 @@ class Whiteness:
     Attributes:
         correlations: autocorrelation from lag 1 on, shape (LAGS,).
         bound: limit such that 95 % of the correlations of white residuals are between -bound and bound.
-        outside: share of the correlations that are outside this range.
+        outside: share of the correlations that are not between -bound and bound.
         probability: probability that white residuals have correlations at least this large (Ljung and Box, 1978).
         samples: number of residuals that were tested.
     """

@@ -7,9 +7,9 @@ IEEE Transactions on Automatic Control 23, 395-404):
     exp(h [[-F', 1, 0], [0, -F', Q], [0, 0, F]]) = [[., ., M], [., ., N], [., ., Phi]],
     integral of exp(F' s) Q exp(F s) over h = Phi' N,    its integral over h = Phi' M.
 
-The state of the discrete problem consists of x and of the earlier forces that still act. X and P are the solutions of the
-regulator's and the filter's Riccati equation. P_f is the covariance of the estimation error after a measurement, W the covariance
-of the noise of a period, and K the regulator's gain. The smallest cost of a period is
+The state of the discrete problem consists of x and of earlier forces that still act because of the delay. X and P are the
+solutions of the regulator's and the filter's Riccati equation. P_f is the covariance of the estimation error after a
+measurement, W the covariance of the noise of a period, and K the regulator's gain. The smallest cost of a period is
 
     tr X W + tr K' (R + B' X B) K P_f + the cost of noise within the period
 

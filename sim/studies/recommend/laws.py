@@ -1,7 +1,8 @@
-"""Candidates that are usually tuned by hand: skyhook with or without travel feedback, semi-active laws, passive changes.
+"""Candidates that are usually tuned by hand: skyhook with or without travel feedback, semi-active laws, other passive dampers
+and springs.
 
-Each force u of the skyhook damps the body's velocity above its suspension. Velocities are measured, or are integrals xi of the
-measured accelerations a with a corner frequency w_c:
+Each force u of the skyhook damps the velocity of the body above the suspension on which it acts. Velocities are measured, or
+are integrals xi of the measured accelerations a with a corner frequency w_c:
 
     xi' = a - w_c xi,    u = -c S J G^+ (velocities, xi) - m_v S J G^+ a.
 
@@ -103,7 +104,7 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], tra
 
 
 def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
-    """Returns the passive car with other dampers and springs; x contains the logarithms of the two factors."""
+    """Returns the passive car with dampers and springs multiplied by two factors; x contains the logarithms of these factors."""
     factors, vehicle = dict[str, float](), task.vehicle
     damper, spring = (*(float(np.clip(math.exp(one), *ends)) for one, ends in zip(x, (DAMPER, SPRING), strict=False)), 1.0)[:2]
     for one in vehicle.kind.suspensions:

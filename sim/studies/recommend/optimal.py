@@ -1,11 +1,12 @@
 """Optimal control laws for a vehicle's sensors: LQG, H-infinity (full order, fixed order, static), and preview.
 
-The plant is the linear vehicle with a lag at the forces. The time constant of the lag approximates actuator, delay and hold: 1 /
-    bandwidth + (delay + 1/2) sample periods.
-The road velocity is white noise with the intensity of the road. Vertical accelerations of the ride points are filtered by W_k.
+The plant is the linear vehicle with a lag at the forces. The time constant of the lag approximates actuator, delay and hold: 1
+/ bandwidth + (delay + 1/2) sample periods. The road velocity is white noise with the intensity of the road. Vertical
+accelerations of the ride points are filtered by W_k.
 
-Weights are given as powers of e relative to typical values, so the search needs no units. A typical value is the passive
-vehicle's rms acceleration divided by a third of the stroke, of the static tyre deflection, or of the largest force.
+Weights are given as powers of e relative to typical values, so the search needs no units. The typical value of a weight is the
+passive vehicle's rms acceleration, divided by a third of the range of the weighted signal. This range is the stroke, the static
+tyre deflection or the largest force.
 """
 
 import math
@@ -49,7 +50,7 @@ NORMS = 200  # largest number of norms that the search for a law with fewer stat
 
 
 def searched(task: Task) -> list[str]:
-    """Returns the names of the weights that are searched if the task has this goal."""
+    """Returns the names of the weights that the search varies if the task has this goal."""
     return [name for name in USUAL if name != FIXED[task.goal]]
 
 
@@ -77,7 +78,7 @@ def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehi
 
 
 def design(task: Task, name: str, measured: Sequence[str], weights: Weights, method: str | int = LQG) -> Controller:
-    """Returns the controller of a method for these weights.
+    """Returns the controller that a method designs with these weights.
 
     Args:
         weights: natural logarithm of each weight, relative to its typical value, and `SHARE` for H-infinity, by name.
@@ -102,7 +103,7 @@ def design(task: Task, name: str, measured: Sequence[str], weights: Weights, met
 
 
 def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float) -> LinearLaw:
-    """Returns the law for the measurements that contain states; method and share as for `design`."""
+    """Returns the law that a method designs for the measurements that depend on states; `method` and `share` as for `design`."""
     plant, given = posed.of_states, DesignProblem(posed.of_states, lower_bound=LowerBound(0.0), alternatives=False)
     if method == LQG:
         return lqg_law(plant, noise)
@@ -119,12 +120,13 @@ def _law(posed: Problem, method: str | int, noise: Sequence[float], share: float
 
 
 def own_hardware(task: Task) -> DesignConditions:
-    """Returns the conditions for certificates, which contain only the lag of the vehicle's own actuators."""
+    """Returns the design conditions for certificates: only the lag of the vehicle's own actuators."""
     return DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
 
 
 def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
-    """Returns a controller for a law. The controller has the certificate of the passive vehicle until `certified` replaces it.
+    """Returns a controller with this law. The controller has the certificate of the passive vehicle until `certified` replaces
+    it.
 
     The certificates of all candidates would take most of the time of a search.
     """

@@ -92,7 +92,9 @@ def rate_expected(task: Task, candidate: Contender) -> Rating | None:
 
 
 def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
-    """Returns the gain margin and the disk margin at all forces; each is the smaller value of implemented and ideal loop."""
+    """Returns the gain margin and the disk margin at all forces; each is the smaller of the values of the implemented and the
+    ideal loop.
+    """
     if not controller.acts:
         return MOST_GAIN, 2.0
     gain, disk = _margins(loop_of(task.line, controller.feedback, task.coarse_step))

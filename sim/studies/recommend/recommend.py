@@ -72,7 +72,7 @@ def recommend(
 
 @one_thread()
 def recommendation(task: Task, progress: Callable[[str], None]) -> Recommendation:
-    """Returns the recommendation for a task. After Ctrl-C, it contains only the candidates found so far.
+    """Returns the recommendation for a task. After Ctrl-C, the recommendation contains only the candidates found so far.
 
     Args:
         progress: function that receives lines about the progress.
@@ -129,7 +129,7 @@ class _Work:
         self._show(f"{left}{text}{best}")
 
     def _search(self, family: Family, groups: tuple[str, ...] = (), again: str = "") -> None:
-        """Searches a family and adds its best candidate. After Ctrl-C, it adds the best candidate found so far."""
+        """Searches a family and adds its best candidate. After Ctrl-C, the best candidate found so far is added."""
         self._progress(f"{family.name}{again}")
         try:
             family.search(self.task)
@@ -175,9 +175,10 @@ class _Work:
             self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=lifts))
 
     def _repeat(self, family: Family, search: bool) -> None:
-        """Corrects the limits of a family if its best candidate exceeds limits in MuJoCo, or does not use them fully.
+        """Corrects the limits of a family if its best candidate exceeds limits in MuJoCo, or does not use the limits fully.
 
-        If `search` is True, the family is then searched again. Otherwise, another candidate is chosen from those found before.
+        If `search` is True, the family is then searched again. Otherwise, the best candidate under the corrected limits is
+        chosen from those found before.
         """
         task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:

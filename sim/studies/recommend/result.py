@@ -1,4 +1,6 @@
-"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, value of sensors, omissions."""
+"""Result of a recommendation, also as text, JSON and vehicle file: ranked table, lower bound, benefit of sensors, omitted
+candidates.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -53,7 +55,7 @@ class RankedContender:
 
     @property
     def binds(self) -> str:
-        """The limit with the largest used share; "-" if no limit is nearly reached, and with "!" if a limit is exceeded."""
+        """The limit with the largest used share; "-" if no limit is nearly reached; followed by "!" if a limit is exceeded."""
         name = max(self.used, key=self.used.__getitem__, default="")
         return "-" if not name or self.used[name] < NEAR else f"{name}{'!' * (not self.keeps)}"
 
@@ -74,7 +76,7 @@ class Recommendation(ShownResult):
         sensors: expected value of the goal with LQG control, for each tried set of sensor groups; infinite if no law keeps the
             limits.
         bound: lower bound on the expected ride of all active controllers with the same sensors; None if it is not computed.
-        left_out: reason for the omission of each omitted family or controller of the file, by name.
+        left_out: reason why a family of candidates or a controller of the file was omitted, by name.
         reserve: share of stroke and force that is kept in reserve for roads that were not simulated.
         interrupted: True if the search was interrupted.
     """
@@ -89,7 +91,7 @@ class Recommendation(ShownResult):
 
     @property
     def passive(self) -> RankedContender | None:
-        """The row of the unchanged passive vehicle."""
+        """The table row of the unchanged passive vehicle."""
         return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
 
     @property

@@ -2,8 +2,8 @@
 
 The number of evaluations of a family is fixed, so the search finds the same candidates on any machine. MuJoCo simulates bump
 stops, clipped forces, noise and nonlinear characteristics, which the expectation neglects or linearises. In MuJoCo, the best
-candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated, and the ratio of used
-to expected share becomes a factor on the limit.
+candidate may therefore come closer to a limit than expected, or exceed it. The search is then repeated. The share of the limit
+that the candidate used in MuJoCo, divided by the expected share, becomes a factor on this limit.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -44,7 +44,7 @@ class Family:
         build: function that returns the candidate for a point of the search.
         evaluations: number of points that a search evaluates.
         factors: ratio of the used share in MuJoCo to the expected used share, by name of the limit.
-        rated: stable candidates, each with its rating and point.
+        rated: candidates with a stable loop, each with its rating and its point of the search.
         failure: reason why the last failed candidate could not be designed; empty if none failed.
     """
 
@@ -57,7 +57,7 @@ class Family:
     failure: str = ""
 
     def best(self, task: Task) -> tuple[Contender, Rating, Array] | None:
-        """Returns the best candidate for the present factors; None if there is no candidate."""
+        """Returns the best candidate according to the present `factors`; None if there is no candidate."""
         return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
     def weights(self, task: Task, names: Sequence[str]) -> dict[str, float]:
@@ -66,7 +66,7 @@ class Family:
         return dict(zip(names, (self.start if best is None else best[2]).tolist(), strict=True))
 
     def search(self, task: Task) -> None:
-        """Searches with the present factors. A repeated search begins at the best point found before."""
+        """Searches for the best candidate with the present `factors`. A repeated search begins at the best point found before."""
         from scipy import optimize
 
         def value(x: Array) -> float:
@@ -106,10 +106,11 @@ def optimal_family(
 
 
 def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
-    """Yields the families of a task, the cheap ones first. A family of LQG laws comes with its groups of sensors.
+    """Yields the families of a task, the cheap ones first. The second item of each pair lists the groups of sensors of a family
+    of LQG laws; for any other family, it is empty.
 
-    The caller must search each family before it takes the next one, because later families begin at the best points of earlier
-    families.
+    The caller must search each family before it requests the next one, because later families begin at the best points of
+    earlier families.
     """
     yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x.tolist()), 14), ()
     yield Family("damper, spring", np.zeros(2), lambda x: changed_passive(task, "damper, spring", x.tolist()), 30), ()

@@ -71,7 +71,9 @@ class Task:
 
     @property
     def spectrum(self) -> Spectrum:
-        """Spectrum of the random road for which candidates are designed: from the road, or from class C if it has none."""
+        """Spectrum of the random road for which candidates are designed: that of the road, or that of class C if the road has
+        no spectrum.
+        """
         return self.road.spectrum or Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle)).spectrum
 
     @property
@@ -82,18 +84,18 @@ class Task:
 
     @cached_property
     def pushed(self) -> Vehicle:
-        """The vehicle with force actuators, and without the noise of the control loop."""
+        """The vehicle with force actuators, and without measurement noise and quantisation."""
         vehicle = self.vehicle.with_force_actuators if self.vehicle.dampers else self.vehicle
         return replace(vehicle, implementation=vehicle.implementation.without_noise)
 
     @cached_property
     def designer(self) -> Designer:
-        """Designer of the file's controllers."""
+        """`Designer` for the controllers of the vehicle file."""
         return Designer(self.vehicle, search=False)
 
     @cached_property
     def passive(self) -> Controller:
-        """The controller without forces."""
+        """The passive controller, which requests no forces."""
         return self.designer.design(PASSIVE)
 
     @cached_property
@@ -103,7 +105,7 @@ class Task:
 
     @cached_property
     def passive_values(self) -> Mapping[str, float | None]:
-        """Expected metrics of the passive vehicle in the comparison of controllers, by key; None for an unknown metric."""
+        """Expected metrics of the passive vehicle for the comparison of controllers, by key; None for an unknown metric."""
         return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
 
     @cached_property
@@ -161,7 +163,9 @@ class Task:
 
     @cached_property
     def sensors(self) -> tuple[str, ...]:
-        """Signals that the vehicle file measures: those with noise or in a controller; without any, travels and accelerations."""
+        """Signals with noise or quantisation in the vehicle file, or measured by its controllers; if there are none, travels
+        and accelerations.
+        """
         model, how = self.vehicle.linear_model, self.vehicle.implementation
         named = [*how.noise, *how.quantisation, *(name for one in self.vehicle.controllers.values() for name in one.measured)]
         real = dict.fromkeys(name for name in named if name in model.measurable and name not in model.inputs)
@@ -180,7 +184,7 @@ class Task:
 
     @property
     def letters(self) -> Mapping[str, str]:
-        """Letter of every group of sensors."""
+        """Letter for each group of sensors, by name of the group."""
         return dict(zip(self.groups, ascii_lowercase, strict=False))
 
     def given_noise(self, measured: Sequence[str]) -> list[float]:
@@ -189,7 +193,9 @@ class Task:
         return [how.noise.get(name) or how.quantisation.get(name, 0.0) / math.sqrt(12) for name in measured]
 
     def noise_of(self, measured: Sequence[str]) -> Array:
-        """Returns each sensor's white noise relative to that of the road: from the file, or else `NOISE` times the signal."""
+        """Returns each sensor's noise density, relative to that of the road velocity; the noise is that of the file, or else
+        `NOISE` times the signal.
+        """
         given = zip(measured, self.given_noise(measured), strict=True)
         sizes = [noise or NOISE * self.rms[name] for name, noise in given]
         return np.array(sizes) * math.sqrt(self.vehicle.implementation.sample_period or self.timestep) / self.white
@@ -202,7 +208,7 @@ class Contender:
     Attributes:
         name: name of the candidate's family, as in the table.
         controller: controller that the candidate uses.
-        vehicle: vehicle that is controlled; a passive candidate has another damper and spring.
+        vehicle: vehicle that is controlled; a passive candidate has a different damper and spring.
         setting: text that states the parameter values of the candidate.
         own: True for a controller that the vehicle file already contains.
     """

@@ -21,7 +21,8 @@ class Usage(NamedTuple):
     Attributes:
         stroke: largest peak travel relative to the stroke in its direction (bump or rebound).
         force: largest peak force relative to the largest allowed force.
-        gain_margin: smallest factor, up or down, on all forces at which the loop becomes unstable; at most `MOST_GAIN`.
+        gain_margin: smallest factor by which all forces must be multiplied or divided until the loop becomes unstable; at most
+            `MOST_GAIN`.
         disk: symmetric disk margin, from 0 to 2.
         off_ground: share of the time in which a tyre does not touch the ground.
         passive_off_ground: value of `off_ground` for the passive vehicle; every candidate may reach this share.
@@ -59,7 +60,8 @@ class Within(CheckedFields):
     off_ground: Share | None = 1e-3
 
     def used(self, usage: Usage, reserve: float = 0.0) -> dict[str, float]:
-        """Returns the used share of each limit, 1 at the limit; `reserve` is the share of stroke and force kept in reserve.
+        """Returns the used share of each limit, 1 if the limit is reached; `reserve` is the share of stroke and force that is
+        kept in reserve.
 
         The time off the ground depends on rare tyre loads, so its reserve is larger: (1 - reserve) to the power of `TAIL`
             remains.

@@ -56,7 +56,7 @@ class Pieces:
         return replace(self, values=self.values * factor)
 
     def before(self, whole: "Pieces", steps: int) -> "Pieces":
-        """Returns these pieces, followed by the pieces of `whole` after the first `steps` pieces."""
+        """Returns these pieces, followed by all pieces of `whole` except its first `steps` pieces."""
         if self.values.shape[1] != whole.values.shape[1]:
             return whole
         both = ((getattr(self, name), getattr(whole, name)[steps:]) for name in ("start", "length", "values"))
@@ -68,7 +68,7 @@ class Pieces:
         return replace(self, start=self.start[later], length=self.length[later], values=self.values[later])
 
     def counted_from(self, time: float) -> "Pieces":
-        """Returns the pieces that begin at a time [s] or later, with this time subtracted from their times."""
+        """Returns the pieces that begin at a time [s] or later, with times relative to this time."""
         if not time:
             return self
         later = self.since(time - EARLY * float(self.length[0]))
@@ -129,7 +129,7 @@ class Pieces:
         return self.time(last, max(crossings, default=1.0))
 
     def integral_of_size(self) -> tuple[float, float]:
-        """Returns the integrals of the magnitude |x|, and of the product t |x| with time t, over all pieces."""
+        """Returns two integrals over all pieces: of the magnitude |x|, and of the product t |x| with the time t."""
         points = self.values.shape[1]
         weights, lengths = _integral(points) / 2, self.length[:, None]
         at = self.start[:, None] + lengths * (np.linspace(-1, 1, points) + 1) / 2
@@ -162,7 +162,7 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     """Returns signals of the continuous linear response of a run, exact between samples; empty if there is no such response.
 
     If the road velocity has a kink within a piece, the error of the polynomial is 1e-3 of the effect of this kink. If kinks are
-    only a few steps apart, the steps until the last wheel has passed them are divided into shorter pieces.
+    only a few steps apart, the steps until the last wheel has passed all of these kinks are divided into shorter pieces.
 
     Args:
         run: run whose signals are returned.
@@ -228,7 +228,7 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
 
 
 def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
-    """Returns pieces that are divided at jumps of the signal. Each polynomial uses only points on one side of a jump.
+    """Returns the pieces, divided at jumps of the signal. Each polynomial uses only points on one side of a jump.
 
     Args:
         pieces: pieces of the signal. A point at the time of a jump has the value before the jump.
@@ -255,7 +255,8 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
 
 
 def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals that are known only at samples: held forces are constant, other signals are cubics between jumps.
+    """Interpolates signals that are known only at samples: held forces are constant over each timestep, other signals are
+    cubics between jumps.
 
     Args:
         run: run whose signals are returned.
@@ -296,7 +297,7 @@ def _cubics(values: Array) -> Array:
 
 
 def _fit(points: int) -> Array:
-    """Returns the matrix from values at equidistant points to Chebyshev coefficients."""
+    """Returns the matrix that converts values at equidistant points to Chebyshev coefficients."""
     return np.linalg.inv(chebyshev.chebvander(np.linspace(-1, 1, points), points - 1))
 
 
@@ -307,7 +308,7 @@ def _integral(points: int) -> Array:
 
 
 def _roots(coefficients: Array) -> list[float]:
-    """Returns the real roots between -1 and 1 in ascending order."""
+    """Returns the real roots of a Chebyshev series between -1 and 1, in ascending order."""
     trimmed = chebyshev.chebtrim(coefficients, 1e-15 * float(np.abs(coefficients).max()))
     roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
     real = np.real(roots[np.abs(np.imag(roots)) < 1e-9])

@@ -1,17 +1,17 @@
 """Expected metrics of a linear vehicle on a random road, and the remaining transient when the measurement begins.
 
 The vertical road velocity is white noise within a frequency band, with the one-sided spectrum G_v = (2 pi n0)^2 G_d(n0) V per
-Hz at the speed V. Rear wheels reach the same road later, and left and right track are coherent to the degree that the road
-defines. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
+Hz at the speed V. Rear wheels reach each point of the road later, and left and right track are coherent to the degree that the
+road defines. The road velocity at wheel j is therefore a combination e_j(omega) of two independent white sources. If H is the
 frequency response of the implemented loop, the spectrum and the covariance of outputs i and k are
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
 If the sample period of the controller is several timesteps, the loop is periodic, and H has a value for each step of a period.
-A sinusoidal road then causes images at omega + 2 pi k / period, and each image is weighted at its own frequency. A spectrum is a
-function of the road frequency omega. The spectrum includes the images, because it is |H e|^2 at each step of the period. The mean
-of this spectrum over the steps is the sum over the images (Parseval). Means over time are computed as means over the steps.
-Spreads and largest values are computed from the mean spectrum.
+A sinusoidal road then causes aliases (images) at omega + 2 pi k / period, and each image is weighted at its own frequency. A
+spectrum is a function of the road frequency omega. The spectrum includes the images, because it is |H e|^2 at each step of the
+period. The mean of this spectrum over the steps is the sum over the images (Parseval). Means over time are computed as means
+over the steps. Spreads and largest values are computed from the mean spectrum.
 
 The band contains the frequency lines of the road, and extends half a line spacing beyond both ends. The integral over this band
 then equals the sum over the lines, to second order in their spacing. Signals are Gaussian (`gaussian.py`). For a stationary
@@ -30,9 +30,9 @@ to 45 % too large, because its formula assumes a window much longer than the dec
 
 When the measurement begins, the transient has not decayed completely. The response to a line of the road is its steady-state
 response minus a free response. The free response starts from the steady-state value of the state at the time when a wheel
-enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j, and x0_j is their equilibrium if
-this wheel is raised by 1. L is the transition matrix over one sample. Wheel j has been on the road for k_j samples. The value of
-a signal with output row C at time t is a sum over the wheels on the road:
+enters the road. X_j is the complex amplitude of the states per unit road velocity at wheel j. x0_j is the equilibrium of the
+states if this wheel is raised by 1 m. L is the transition matrix over one sample. Wheel j has been on the road for k_j samples.
+The value of a signal with output row C at time t is a sum over the wheels on the road:
 
     A exp(j omega t) - B,    A = sum over j of (C X_j + Cr_j / j omega) e_j,
     B = sum over j of (C L^k_j (X_j - x0_j / j omega) + (C x0_j + Cr_j) / j omega) e_j at the start,
@@ -110,7 +110,7 @@ def settled_shares(
 ) -> dict[str, float]:
     """Returns the variance of all measured signals that move, relative to their final values, by name.
 
-    Arguments are those of `remaining_transient`. The result is empty if that function returns None.
+    Arguments are those of `remaining_transient`. The result is empty if `remaining_transient` returns None.
     """
     if not is_linear(controller, vehicle) or radius(whole := loop_of(vehicle, controller, timestep)) >= 1:
         return {}
@@ -179,7 +179,7 @@ class ExpectedMetrics:
         mean: expected value, by metric. For an rms, this is the root of the expected mean square; for the VDV, the fourth root of
             the expected integral. The mean of an rms over roads is lower than this value by half the relative variance of the
             rms. The mean of a VDV is lower by 1.5 times its relative variance.
-        spread: standard deviation of each rms metric from road to road, by metric.
+        spread: standard deviation of each rms metric between random roads, by metric.
         error: upper estimate of the relative error of the integrals, which is reported if it exceeds `EXACT`.
         line: linear vehicle from which the expected values are computed (`statistical_linearisation.py`).
     """
@@ -310,7 +310,8 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
 
 
 def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:
-    """Returns the amplitudes of weighted signals, with the shape of `at_steps`. Each image is weighted at its own frequency.
+    """Returns the amplitudes of signals weighted by W_k, with the shape of `at_steps`. Each image is weighted at its own
+    frequency.
 
     Args:
         at_steps: amplitudes of `a` signals due to both sources at each step of a period, shape (steps, F, a, 2).
@@ -343,7 +344,8 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
 
 
 def work_rate(covariance: Array, force: Array, change: Array, *, mean: float) -> tuple[float, float]:
-    """Returns the expected work of an actuator per step and its positive part [J], averaged over the steps of a period.
+    """Returns the expected work of an actuator per step and the expected positive part of this work [J], averaged over the
+    steps of a period.
 
     Args:
         covariance: covariance of force and change of travel in each step [J], shape (steps,).

@@ -6,7 +6,7 @@ density of the normal distribution, and Q the tail probability,
 
     E min(x, s)^2 = sigma^2 (1 - Q(a) - a phi(a) + a^2 Q(a)).
 
-For a cyclostationary signal, the exact statistics are means over the steps of a period. The other statistics use the mean
+For a cyclostationary signal, the exact statistics are means over the steps of a period. All other statistics use the mean
 spectrum.
 
 The formula for the variance of a mean square is asymptotic, for a window much longer than the correlation time. The function
@@ -57,7 +57,7 @@ class Gaussian:
 
     @cached_property
     def sigma(self) -> float:
-        """Standard deviation over all steps."""
+        """Standard deviation of the signal, computed from the mean spectrum of all steps."""
         return float(self.share @ self.spectrum) ** 0.5
 
     @cached_property
@@ -71,7 +71,7 @@ class Gaussian:
         return 3 * statistics.fmean(sigma**4 for sigma in self.sigmas)
 
     def beyond(self, threshold: float) -> float:
-        """Returns the share of time above a threshold."""
+        """Returns the share of time in which the signal is above a threshold."""
         return statistics.fmean(float(scipy.special.ndtr(-threshold / sigma)) if sigma else 0.0 for sigma in self.sigmas)
 
     def clipped_mean_square(self, clip: float) -> float:
@@ -150,7 +150,7 @@ class Gaussian:
 
     @cached_property
     def _correlation(self) -> tuple[Array, float]:
-        """Autocorrelation rho from time 0, and its timestep [s]."""
+        """Autocorrelation rho from lag 0 on, and the spacing of the lags [s]."""
         rho = np.fft.hfft(self._mass, _power_of_two(4 * len(self._mass)))
         half = len(rho) // 2
         return rho[:half] / rho[0], 1 / (BIN * len(rho))
@@ -171,7 +171,7 @@ class RandomSignals:
         mean: means of the signals whose mean is not zero, by name.
         static: static deflection of each tyre [m].
         strokes: strokes in bump and in rebound [m] of each suspension with stops; infinite on a side without a stop.
-        works: expected work per step and its positive part [J] of each actuator in a suspension.
+        works: expected work per step of each actuator in a suspension, and the expected positive part of this work [J].
     """
 
     signal: Callable[[str], Gaussian]

@@ -49,7 +49,7 @@ def duration_of(loads: Sequence[Load]) -> float:
 
 
 def _dive(vehicle: Vehicle) -> Metric | None:
-    """Returns the metric for dive; None for a vehicle that cannot pitch."""
+    """Returns the metric that evaluates dive; None for a vehicle that cannot pitch."""
     return next(iter(compared_metrics(vehicle, loaded=True).get("dive", ())), None)
 
 

@@ -45,19 +45,21 @@ PITCH, ROLL = "pitch_angle", "roll_angle"
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
-    """Returns the angles of the body [rad] by name, each as coefficients of signals by name."""
+    """Returns the angles of the body [rad], by name; each angle is a weighted sum of signals, given as the weight of each
+    signal.
+    """
     return vehicle.kind.angles(vehicle.parameters)
 
 
 def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles of the body [deg] by name, for the equilibrium of the linear loop under constant loads.
+    """Returns the angles of the body [deg] by name, in the equilibrium of the linear loop under constant loads.
 
     The result is empty if the loop is unstable or the law is nonlinear.
 
     Args:
         vehicle: vehicle that the controller controls.
         controller: controller of this vehicle.
-        road: road with the loads.
+        road: road whose loads act on the body.
         time: time at which the constant loads are taken from the road [s].
     """
     if controller.linear is False:
@@ -107,7 +109,7 @@ class Column:
         label: heading of the column.
         unit: unit in which the values are printed; empty for a number without a unit.
         scale: factor from the SI unit to the printed unit.
-        change: name of the change relative to the passive vehicle; empty for a column without changes.
+        change: name of the quantity in the column of changes relative to the passive vehicle; empty if there is no such column.
         praise: verb and object for a sentence about the best controller; empty if no sentence mentions this column.
         bars: title of the bar chart in a report; empty if the report has no bar chart for this column.
         by_side: True for travel, which is shown separately for bump and rebound if the vehicle has stops.
@@ -158,7 +160,7 @@ class Metric:
         over_runs: rule that combines the values of several runs.
         approximate: False if the expected value is exact for a stationary linear run.
         expectation: text that defines the expected value, if it is not the mean.
-        accuracy: text about the error of an approximate expected value; empty if it is not stated.
+        accuracy: text about the error of an approximate expected value; empty if no error is stated.
         column: column in the table of controllers; None if the table does not contain this metric.
         headline: name in the short tables of campaigns and reports; empty if they do not contain this metric.
         effort: True for a metric of actuators, which the passive vehicle does not have.
@@ -195,16 +197,16 @@ class Metric:
 
     @classmethod
     def compared(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals that are compared; the worst of them represents the vehicle. By default, all signals."""
+        """Returns the signals that are compared; the worst of these signals represents the vehicle. By default, all signals."""
         return cls.sources(vehicle)
 
     @classmethod
     def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
-        """Returns the signals for which the table of controllers has an additional column each."""
+        """Returns the signals that have additional columns of their own in the table of controllers."""
         return ()
 
     def update(self, meter: "Meter", totals: Totals) -> None:
-        """Adds the current block of a meter to the totals."""
+        """Adds the current block of signals, which the meter holds, to the totals."""
 
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
         """Adds a block of the weighted acceleration of this metric.
@@ -233,7 +235,7 @@ def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> 
     Args:
         metric: the metric.
         values: value of each run, shape (R,).
-        distances: measured distance of each run [m], shape (R,); None if all are equal.
+        distances: measured distance of each run [m], shape (R,); None if all distances are equal.
     """
     return float(metric.over_runs.of(values, np.ones(len(values)) if distances is None else distances))
 
@@ -261,7 +263,7 @@ def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
 def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
     """Returns the metrics that are compared, by name in `METRICS`.
 
-    If a name has several metrics, the worst of these metrics represents the vehicle.
+    If the vehicle has several metrics with one name, the worst of these metrics represents the vehicle.
     """
     return {
         name: tuple(map(kind, kind.compared(vehicle))) for name, kind in METRICS.load_all().items() if loaded or not kind.loaded
@@ -293,8 +295,9 @@ class Meter:
             loaded: True if loads act in any run; angles are then measured.
             pushed: True for each run in which loads act, N entries; None if this is the same for all runs, as given by
                 `loaded`.
-            earlier: True for the weighted metrics of earlier versions, whose window was delayed by three samples.
-            speeds: speed of each run [m/s], N entries; None if it is unknown. Metrics per distance are then NaN.
+            earlier: True to compute the weighted metrics as earlier versions did, with a window that was delayed by three
+                samples.
+            speeds: speed of each run [m/s], N entries; None if the speeds are unknown. Metrics per distance are then NaN.
         """
         self.late = 0 if earlier else LATE
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
@@ -392,7 +395,7 @@ class Meter:
     def work(self, force: str) -> Array:
         """Returns the work of an actuator [J] in each step that ends in the current block, shape (N, B).
 
-        The first block contains one step less than it contains samples, so its result has the shape (N, B - 1).
+        The first block has one step fewer than samples, so its result has the shape (N, B - 1).
         """
         if force not in self.works:
             acting, along = self._joined(force), self._joined(self.vehicle.kind.deflection_of(force))
@@ -445,7 +448,7 @@ def measure(
         first: index of the first measured sample.
         loaded: True if loads act on the body, so that its angles are measured.
         end: index of the sample after the last measured one; None for the end of the response.
-        earlier: True for the weighted metrics of earlier versions, see `Meter`.
+        earlier: True to compute the weighted metrics as earlier versions did, see `Meter`.
         speed: speed of the vehicle [m/s]; NaN if it is unknown.
     """
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier, speeds=[speed])

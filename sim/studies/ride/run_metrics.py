@@ -39,7 +39,7 @@ from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
-NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by a larger share
+NEARLY = 0.01  # a remark is printed if the durations of a run and of its road differ by a larger share than this
 SETTLED = 0.1  # no remark is needed if the relative distance of a variance from its final value is smaller than this
 NO_ANGLE = 1e-9  # deg; a smaller angle is a rounding error if symmetry keeps the angle at zero
 
@@ -79,7 +79,7 @@ class MetricComparison:
         sampled: value in the exact sampled response over the same road; None if the run was aborted.
         expected: expected value over all random roads with the same spectrum. None if the road has no spectrum, the loop is not
             linear and stable, or the metric has no known expected value.
-        spread: standard deviation of the expected value from road to road; None if it is unknown.
+        spread: standard deviation of the expected value from road to road; None if this deviation is unknown.
         approximate: True if the formula for the expected value is an approximation.
     """
 
@@ -143,7 +143,7 @@ def measured_samples(
     """Returns the index of the first measured sample, and the index after the last measured one (None for the end of the run).
 
     - On a random road, the measurement begins when the transient has decayed, or at half of the run if this is earlier. The
-      transient of a law in Python is unknown, so its measurement begins at half of the run.
+      transient of a law in Python is unknown, so the measurement begins at half of the run.
     - Over a single obstacle, the measurement covers the time in which the vehicle crosses the obstacle, and is the same for all
       controllers. The measurement begins when the first wheel reaches the obstacle. The measurement ends when the passive vehicle
       would have settled after its last wheel has left the obstacle.
@@ -292,7 +292,9 @@ def expected_cells(run: Run, metrics: RunMetrics) -> list[dict[str, str]]:
 
 
 def roughness_sentence(run: Run) -> str:
-    """Returns a sentence with the IRIs of the driven part of a road, or the reason why it has none; empty for a flat road."""
+    """Returns a sentence with the IRIs of the driven part of a road, or the reason why the road has no IRI; empty for a flat
+    road.
+    """
     known = driven_roughness(run.vehicle, run.road, run.prediction.time)
     if not any(one.iri or one.expected for one in known):  # on a flat road, the IRI is 0
         return why_none(run.road)
@@ -305,7 +307,7 @@ def roughness_sentence(run: Run) -> str:
 
 
 def basis(run: Run, metrics: RunMetrics) -> list[str]:
-    """Returns sentences about the accuracy of the expected values, and about effects that they omit.
+    """Returns sentences about the accuracy of the expected values, and about effects that these values omit.
 
     If the run was aborted, the first sentence gives the reason.
     """
@@ -348,7 +350,7 @@ def broken_off_sentence(run: Run) -> list[str]:
 def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     """Returns the document with the largest angles of the body under loads, and the expected ride over random roads.
 
-    For more than `FEW` runs, the expected ride is a detail.
+    For more than `FEW` runs, only `-v` shows the expected ride.
     """
     angles = [
         {

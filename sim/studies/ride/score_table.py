@@ -92,7 +92,7 @@ def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str
     Args:
         scores: scores of the controllers, one per row.
         about: text that describes the measurement.
-        below: cells of rows that follow the controllers, by heading of the column.
+        below: cells of additional rows below those of the controllers, by heading of the column.
     """
     one = compared_table(scores, about)
     one = replace(one, rows=(*one.rows, *(tuple(cells.get(heading, "") for heading in one.headings) for cells in below)))
@@ -100,12 +100,14 @@ def score_lines(scores: Sequence[Score], about: str, below: Sequence[Mapping[str
 
 
 def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
-    """Returns the column of a quantity. The controllers with these names are marked as the best ones."""
+    """Returns the table column that shows a quantity. The controllers with these names are marked as the best ones."""
     return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
 
 
 def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score]:
-    """Returns the column of changes relative to the passive vehicle; "-" if a value is missing, equal or zero."""
+    """Returns the column of changes relative to the passive vehicle; "-" if a value is missing, the passive value is zero, or
+    both are equal.
+    """
 
     def change(one: Score) -> str | None:
         value, usual = quantity.value(one), quantity.value(passive[one.vehicle])

@@ -81,7 +81,7 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def with_faults(scores: Iterable[Score], vehicle: Vehicle, controllers: Iterable[AnyController]) -> list[Score]:
-    """Returns the rows of a vehicle, with the fault of each controller filled in."""
+    """Returns the rows of a vehicle, with the field `fault` filled in for each controller."""
     faults = {one.name: law_fault(vehicle, one) for one in controllers}
     return [replace(one, fault=faults.get(one.controller, "")) for one in scores]
 
@@ -122,7 +122,7 @@ def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Arr
         vehicle: vehicle that the controller controls.
         controller: name of the controller.
         metrics: values of all runs by name of the metric, shape (R,) each.
-        distances: measured distance of each run [m], shape (R,); None if all are equal.
+        distances: measured distance of each run [m], shape (R,); None if all distances are equal.
     """
     names = {name for some in columns_of(vehicle).values() for name in some}
     over = {one.name: over_runs(one, metrics[one.name], distances) for one in metrics_of(vehicle) if one.name in names}

@@ -29,11 +29,12 @@ where s, rho and R are those of the resulting vehicle (the direct interaction ap
 Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). The memory Sigma is a
 frequency-dependent slope between signals. The noise is a source in addition to the road. The mean force <F_i> also changes.
 
-Degrees 2 to 4 are included. Higher degrees excite frequencies that no suspension amplifies. For sharp bends, for example due to
-friction, the second order of higher degrees is too large. With all degrees, the error of ride would grow by 0.3 %, and no error
-would decrease. If e has a larger share than `SHARP` in the variance of a force, accelerations are computed from the line alone,
-with an error of up to 3 %. With the remainder, accelerations would be up to 13 % too small. Slow signals include the remainder,
-without which travel would be up to 25 % too small.
+Hermite polynomials of degrees 2 to 4 are included. Higher degrees excite frequencies that no suspension amplifies. For
+characteristics with sharp bends, for example due to friction, the second-order terms of higher degrees are too large. With all
+degrees, the error of the expected ride would grow by 0.3 %, and no other error would decrease. If e has a larger share than
+`SHARP` in the variance of a force, accelerations are computed from the line alone, with an error of up to 3 %. With the
+remainder, accelerations would be up to 13 % too small. Slow signals include the remainder, without which travel would be up to
+25 % too small.
 """
 
 import math
@@ -77,13 +78,13 @@ class Remainder:
     """Remainders of e nonlinear characteristics (curves), modelled as a linear transfer matrix (memory) and noise.
 
     Attributes:
-        pulls: names of the e deflections along which the forces of the curves act.
-        index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
+        pulls: names of the e deflections along which the forces of the nonlinear characteristics act.
+        index: index of each characteristic's argument among the outputs of the vehicle, shape (e,).
         omega: frequencies [rad/s], ascending from 0, shape (F,).
-        memory: transfer matrix from the arguments to the forces, without the slopes of the lines, shape (F, e, e).
+        memory: transfer matrix from the arguments to the forces, without the slopes of the equivalent lines, shape (F, e, e).
         noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
-        mean_force: mean forces of the remainders, without the mean forces of the lines [N], shape (e,).
-        share: largest share of the remainder in the variance of a force.
+        mean_force: mean forces of the remainders, without the mean forces of the equivalent lines [N], shape (e,).
+        share: largest share that the remainder has in the variance of a force.
     """
 
     pulls: tuple[str, ...]
@@ -96,14 +97,14 @@ class Remainder:
 
     @property
     def sharp(self) -> bool:
-        """True if accelerations are computed from the line alone."""
+        """True if accelerations are computed without the remainder."""
         return self.share > SHARP
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
-        """Returns the excitation of wheels and curves, relative to the amplitude of the road.
+        """Returns the excitation of wheels and nonlinear characteristics, relative to the amplitude of the road.
 
         Args:
-            vehicle: linear vehicle with r wheels, in which lines replace the curves.
+            vehicle: linear vehicle with r wheels, in which straight lines replace the nonlinear characteristics.
             road: spectrum of the road.
             omega: frequencies [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
@@ -139,17 +140,19 @@ def remainder(
     means: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
-    """Returns the remainders of curves on a road, found by iteration; None if the iteration does not converge.
+    """Returns the remainders of nonlinear characteristics on a road, found by iteration; None if the iteration does not
+    converge.
 
     Args:
-        line: lines that replace e curves.
+        line: straight lines that replace e nonlinear characteristics.
         controller: the controller.
         road: spectrum of the road.
         timestep: timestep of the sampled loop [s].
         fastest: frequency of the fastest oscillation of the loop [rad/s].
-        index: index of the argument of each curve among the outputs of the vehicle, shape (e,).
-        means: initial means of the arguments, shape (e,).
-        resting: function from the mean forces of the remainders, shape (e,), to the means of the arguments, shape (e,).
+        index: index of each characteristic's argument among the outputs of the vehicle, shape (e,).
+        means: initial means of the characteristics' arguments, shape (e,).
+        resting: function from the mean forces of the remainders, shape (e,), to the means of the characteristics' arguments,
+            shape (e,).
     """
     vehicle, lines = line.vehicle, line.slopes
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
@@ -204,12 +207,12 @@ def coefficients(curve: ForceCurve, mean: float, deviation: float) -> Array:
 
 
 def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float) -> float:
-    """Returns the share of the remainder in the variance of a curve's force, for a Gaussian argument.
+    """Returns the share of the remainder in the variance of a characteristic's force, for a Gaussian argument.
 
     Args:
         curve: characteristic of the nonlinear spring or damper.
-        mean, deviation: mean and standard deviation of the argument of the curve.
-        slope: slope of the line that replaces the curve.
+        mean, deviation: mean and standard deviation of the argument of the characteristic.
+        slope: slope of the straight line that replaces the characteristic.
     """
     z, weights = GAUSS
     force = curve(mean + deviation * z)
@@ -218,13 +221,13 @@ def _share_beyond(curve: ForceCurve, mean: float, deviation: float, slope: float
 
 
 def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
-    """Returns the second-order terms of the module docstring.
+    """Returns the second-order terms in the equations of the module docstring.
 
     Args:
         rho: correlations rho_ij of the arguments at T times, shape (T, e, e).
         answer: impulse responses R at these times, shape (T, e, e).
-        c: Hermite coefficients of each curve, shape (e, number of degrees).
-        deviations: standard deviations of the arguments, shape (e,).
+        c: Hermite coefficients of each characteristic, shape (e, number of degrees).
+        deviations: standard deviations of the characteristics' arguments, shape (e,).
 
     Returns:
         Changes of the mean forces, shape (e,); memory, shape (T, e, e); covariance of the noise, shape (T, e, e).
@@ -258,10 +261,10 @@ class Equivalent:
     """Linear equivalent of a vehicle with nonlinear springs or dampers on a random road.
 
     Attributes:
-        vehicle: vehicle in which lines replace the curves.
+        vehicle: vehicle in which straight lines replace the nonlinear characteristics.
         mean: nonzero means of output signals in the unit of the signal, by name.
-        rounds: number of iterations until the lines converged; 0 for a linear vehicle.
-        remainder: remainders of the curves; None if the iteration does not converge.
+        rounds: number of iterations until the equivalent lines converged; 0 for a linear vehicle.
+        remainder: remainders of the nonlinear characteristics; None if the iteration does not converge.
     """
 
     vehicle: Vehicle
@@ -286,7 +289,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 
 
 def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float) -> Equivalent:
-    """Returns the linear equivalent with the remainders of its curves, if their iteration converges."""
+    """Returns the linear equivalent with the remainders of the characteristics, if the iteration for these converges."""
     poles = np.linalg.eigvals(loop_of(line.vehicle, controller).closed_loop.A)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
 
@@ -360,7 +363,9 @@ def record(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
 def _deviations(
     vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, signals: Sequence[str]
 ) -> Array | None:
-    """Returns the standard deviations of k output signals of a linear vehicle on a road, shape (k,); None if it is unstable."""
+    """Returns the standard deviations of k output signals of a linear vehicle on a road, shape (k,); None if the vehicle is
+    unstable.
+    """
     if radius(loop_of(vehicle, controller, timestep)) >= 1:
         return None
     low, high = road.band

@@ -1,8 +1,8 @@
 """Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of the absolute error.
 
 The final value of a height is the height of the step. The final value of any other signal is zero. If a law with `study = true`
-measures heights, a constant force can remain. All signals except velocities and accelerations can then have other final values.
-The error is the distance from the final value. Time starts when the first wheel reaches the step.
+measures heights, a constant force can remain. All signals except velocities and accelerations can then have different final
+values. The error is the distance from the final value. Time starts when the first wheel reaches the step.
 """
 
 import math
@@ -42,7 +42,8 @@ class StepMetrics:
         peak_time: time of the peak [s].
         overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero: largest
             value of the opposite sign after the peak, relative to the peak.
-        settling_time: time from which the error stays within the band until the end of the run [s]; None if it does not.
+        settling_time: time from which the error stays within the band until the end of the run [s]; None if the error does not
+            stay within the band.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error never leaves the band.
         iae: integral of the absolute error over the run [unit of the signal times s].
         itae: integral of the time multiplied by the absolute error [unit of the signal times s2].
@@ -102,7 +103,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
         given: True if the user chose the band, instead of the default.
 
     Raises:
-        InputError: the band is out of range, or it is given for a road that is not a step.
+        InputError: the band is out of range, or a band is given for a road that is not a step.
     """
     low, high = BANDS
     if not low <= percent <= high:
@@ -214,7 +215,7 @@ RECORD = Record[SignalSteps](
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:
     """Returns the printed document about step responses.
 
-    The first table compares the runs by one signal in MuJoCo: a height, or the suspension travel if no height is available.
+    The first table compares the MuJoCo runs by one signal: a height, or the suspension travel if no height is available.
     `-v` adds a table of all signals for each run.
 
     Args:
@@ -251,6 +252,6 @@ def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]],
 
 
 def _columns(*names: str) -> list[Field[Any]]:
-    """Returns the columns of a table whose rows contain texts, one for each of `names`, followed by step metrics or None."""
+    """Returns the columns of a table; each row contains a text for each of `names`, followed by step metrics or None."""
     words = [Field[Any](name, lambda row, i=i: row[i]) for i, name in enumerate(names)]
     return [*words, *(replace(one, value=lambda row, one=one: row[-1] and one.value(row[-1])) for one in COLUMNS)]

@@ -67,7 +67,7 @@ class SampledWk:
 
         Args:
             signals: next T samples of N signals, shape (N, T).
-            memory: memory after the previous samples, as returned; None before the first sample.
+            memory: memory that this function returned for the previous samples; None before the first sample.
 
         Returns:
             Weighted signals, shape (N, T), and the last samples of the signals with the states of the filters, shape (N, 16).

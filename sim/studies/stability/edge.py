@@ -83,7 +83,9 @@ class StabilityEdge:
 
     @property
     def found(self) -> float:
-        """Stability limit for real amounts: geometric mean of `stable` and `unstable`; NaN if the runs are not decisive."""
+        """Stability limit if the amount may be any real number: geometric mean of `stable` and `unstable`; NaN if the runs are
+        not decisive.
+        """
         return math.nan if not self.decided else math.sqrt(self.stable * self.unstable)
 
     def loop(self, amount: float) -> SimulatedLoop:
@@ -105,8 +107,8 @@ class StabilityEdge:
 def smallest_unstable(grows: Callable[[float], bool], expected: float, most: float, multiple: float = 0.0) -> tuple[float, float]:
     """Returns the two ends of an interval that contains the stability limit: a stable amount and an unstable amount.
 
-    The search first tries both sides of the expected limit. If these do not enclose the limit, the search begins at the smallest
-    amount.
+    The search first tries both sides of the expected limit. If the limit is not between these two amounts, the search begins at
+    the smallest amount.
 
     Args:
         grows: function that returns True if an amount is unstable.

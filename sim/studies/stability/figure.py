@@ -86,7 +86,7 @@ def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[
 
     Args:
         title: title of the panel.
-        label: label of the axis of the amount.
+        label: label of the axis that shows the amount.
         search: finished search for the stability limit.
         rate: function that returns the predicted growth rate of a loop [1/s].
         scale: factor from SI units to the unit of the label.

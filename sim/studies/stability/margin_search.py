@@ -41,7 +41,7 @@ WITHOUT_END = 1.5
 
 @dataclass(frozen=True, eq=False)
 class GainMargin:
-    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if every factor is stable.
+    """Upper or lower gain margin of a loop, predicted and found in MuJoCo; infinite if no factor makes the loop unstable.
 
     MuJoCo holds the force over a timestep, so it simulates a sampled loop. For small steps, the margin of the sampled loop
     approaches that of the continuous loop with an error proportional to the timestep. If these margins differ at the given
@@ -52,7 +52,7 @@ class GainMargin:
         sampled: predicted margins of the sampled loop, as RK4 integrates it, at the timesteps of the searches.
         search: search for the margin in MuJoCo at the given timestep.
         finer: search at half the timestep or less, which runs only if it is needed.
-        coarser: search at twice the step of `finer`; None if this is `search`.
+        coarser: search at twice the step of `finer`; None if `search` has this step.
     """
 
     own: float
@@ -132,7 +132,7 @@ class GainMargin:
     def found(self) -> float:
         """Margin found in MuJoCo, extrapolated to a timestep of 0 if finer searches ran.
 
-        The margin is infinite if it grows without limit as the timestep shrinks, because only sampling then limits the gain.
+        The margin is infinite if it grows without limit as the timestep decreases, because then only sampling limits the gain.
         The margin is NaN if it still grows at the smallest timestep, although the continuous loop has a larger finite margin.
         """
         if not self.finer.searched:
@@ -188,23 +188,25 @@ class LoopMargins:
 
     @property
     def found_gain_lower(self) -> float:
-        """Largest unstable gain factor below 1; 0 if all these factors are stable."""
+        """Largest unstable gain factor below 1; 0 if all factors below 1 are stable."""
         return 1 / self.gain_lower.found
 
     @property
     def found_sample_period(self) -> float:
-        """Longest stable sample period below the first unstable one [s]; infinite if all are stable, NaN if it is unknown."""
+        """Longest stable sample period below the first unstable one [s]; infinite if all periods are stable, NaN if the limit
+        is unknown.
+        """
         edge = self.sample_period
         return edge.unstable - self.timestep if _is_seen(edge, self.predicted.sample_period) else math.nan
 
     @property
     def found_delay(self) -> float:
-        """Smallest unstable delay [s]; infinite if all are stable, NaN if the runs are not decisive."""
+        """Smallest unstable delay [s]; infinite if all delays are stable, NaN if the runs are not decisive."""
         return self.delay.unstable if _is_seen(self.delay, self.predicted_delay) else math.nan
 
     @property
     def found_phase(self) -> float:
-        """Phase lag at the crossover frequency that the found delay causes [rad]."""
+        """Phase lag that the found delay causes at the crossover frequency [rad]."""
         return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property
@@ -236,13 +238,15 @@ def _passed_over(edge: StabilityEdge, grows: Callable[[float], bool] | None) -> 
 
 
 def _is_seen(edge: StabilityEdge, predicted: float) -> bool:
-    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] is within its range."""
+    """Returns True if a search is finished, its runs are decisive, and the predicted limit [s] is within the range of the
+    search.
+    """
     within = math.isinf(predicted) or predicted < SLOWEST or math.isfinite(edge.unstable)
     return edge.searched and edge.decided and within
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
-    """Returns True if a margin agrees with its prediction within a tolerance. NaN (undecided) agrees with everything."""
+    """Returns True if a margin agrees with its prediction within a tolerance. NaN (undecided) counts as agreement."""
     return predicted == measured or math.isnan(measured) or abs(predicted - measured) <= within < math.inf
 
 
@@ -262,7 +266,7 @@ def find_margins(
         force is the loop that is cut at this force while the loops of the other forces are closed.
 
     Raises:
-        InputError: the controller belongs to another vehicle, or the timestep is invalid.
+        InputError: the controller belongs to a different vehicle, or the timestep is invalid.
 
     Example:
         >>> from models import read_vehicle

@@ -31,7 +31,7 @@ class StabilityMargins:
 
     @property
     def wrong(self) -> list[str]:
-        """Names of the loops with a margin for which MuJoCo contradicts the prediction."""
+        """Names of the loops for which MuJoCo contradicts the prediction of a margin."""
         loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.implemented_loops.items()]
         loops += [(name or "the loop", one) for name, one in self.loops.items()]
         return [name for name, one in loops if not one.agrees]

@@ -39,7 +39,7 @@ class Row(NamedTuple):
     Attributes:
         margin: name of the margin, with its unit.
         predicted: predicted value of the margin.
-        found: value found in MuJoCo; NaN if it is only predicted or not decided.
+        found: value found in MuJoCo; NaN if the margin is only predicted, or if the runs are not decisive.
         note: remark on the margin in the last column of the table.
         extrapolated: True if `found` results from an extrapolation to a timestep of 0.
         extra: True to omit the row in comparisons of controllers.
@@ -232,17 +232,19 @@ def _fixed_period(found: StabilityMargins) -> float | None:
 
 
 def _rows(found: StabilityMargins) -> list[Row]:
-    """Returns the rows of the loop that is cut at all actuators: first the implemented loop (if present), then the ideal loop."""
+    """Returns the table rows of the loop that is cut at all actuators: first the implemented loop (if present), then the ideal
+    loop.
+    """
     rows = _loop_rows(found, found.implemented_loops[""]) if found.implemented_loops else []
     return [*rows, *_loop_rows(found, found.loops[""], ", ideal loop" * bool(found.implemented_loops))]
 
 
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
-    """Returns the rows of a loop.
+    """Returns the table rows with the margins of a loop.
 
     Args:
         found: margins of the controller to which the loop belongs.
-        one: margins of the loop whose rows are returned.
+        one: margins of the loop to which the rows belong.
         of: text such as ", ideal loop", which follows the name of a margin if the implemented loop has the same margin.
     """
     predicted, h, gain = one.predicted, one.timestep, one.gain

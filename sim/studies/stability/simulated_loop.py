@@ -24,7 +24,7 @@ from synth.plant.state_space import StateSpace
 STANDS = 1e-6  # 1/s; a growth rate below this counts as 0, because finite differences cause an error of a tenth of this value
 SMALL = 1e-6  # m or rad; size of the largest coordinate in the initial state of a run
 FREE = 1e-2  # largest force in a run that starts in the slowest mode, as a share of the force limit
-ACTING_STATE = "acting_{}"  # pattern for the names of states that contain the forces now acting
+ACTING_STATE = "acting_{}"  # pattern for the names of the states that are the forces acting at present
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,6 @@
-"""The study of validity: a map of the bumps over which linear analysis is valid; its axes are height, length or speed."""
+"""The study of validity: a map of the bumps over which linear analysis is valid; the axes of the map are height, length or
+speed.
+"""
 
 from pathlib import Path
 

@@ -31,7 +31,7 @@ class GridAxis:
 
 
 def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
-    """Returns the axes of one or two values of `--vary`, each in the form `name:low:high:count`.
+    """Returns the axes that one or two values of `--vary` define, each in the form `name:low:high:count`.
 
     Raises:
         InputError: the number of axes is not 1 or 2, the axes are equal, or an axis is invalid: unknown quantity, invalid
@@ -58,7 +58,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
         if count < 2:
             raise InputError(f"--vary {text}: {count} points are too few; give 2 or more, or one value with --{name}")
-        if count > MOST_CELLS // 2:  # half the largest number of cells, because a second axis would have at least 2 points
+        if count > MOST_CELLS // 2:  # half the largest number of cells of a map, because the other axis has at least 2 points
             raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:
@@ -73,7 +73,7 @@ def grid(axes: Sequence[GridAxis], fixed: dict[str, float]) -> list[Bump]:
     """Returns the bumps of all cells. The last axis changes fastest.
 
     Args:
-        axes: axes of the map.
+        axes: axes of the map of validity.
         fixed: value of each quantity that is not an axis, by name: height [m], length [m] or speed [m/s].
     """
     names = [axis.name for axis in axes]

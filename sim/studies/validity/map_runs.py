@@ -53,7 +53,7 @@ class MapRun:
 
 
 def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
-    """Returns a bump with loads on the body; the bump itself without loads."""
+    """Returns a bump with loads on the body; if there are no loads, the bump itself."""
     return RoadWithLoads(bump, loads) if loads else bump
 
 
@@ -69,7 +69,9 @@ def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road
 
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
-    """Returns the response of each controller over its own road by analysis. Nonlinear responses are computed simultaneously."""
+    """Returns the response of each controller over its own road, computed by analysis. Nonlinear responses are computed
+    simultaneously.
+    """
     bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(one, vehicle)]
     responses = dict[int, Response]()
     for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):
@@ -92,7 +94,9 @@ def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Arra
 
 
 def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) -> float:
-    """Returns the largest difference of an output signal from analysis, relative to its peak; infinite if the run diverged."""
+    """Returns the largest difference of an output signal from analysis, relative to the peak of the signal; infinite if the run
+    diverged.
+    """
     apart = float(np.abs(difference(physics, analysis.only(vehicle.linear_model.outputs)).values).max())
     return math.inf if math.isnan(apart) else apart
 

@@ -274,7 +274,8 @@ def _score(log: MeasuredLog, run: Response, start: float) -> float:
 
 
 def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]]:
-    """Finds the time of the log at which a run starts, by the largest correlation of their common signals.
+    """Finds the time of the log at which a run starts, by the largest correlation of the signals that log and run have in
+    common.
 
     Log and run are first correlated at a common sample rate. Means are removed. Each signal is scaled by its rms over the run
     and over the part of the log that the run covers. The start is then refined between the samples.
@@ -293,7 +294,7 @@ def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]
     total, opposite = np.zeros(len(at) + len(grid) - 1), list[str]()
 
     def sums(values: Array, weights: Array) -> Array:
-        """Returns the sum of products of two signals for each shift in time between them."""
+        """Returns, for each shift in time between two signals, the sum of the products of their values."""
         return np.asarray(correlate(values, weights, mode="full", method="fft"))
 
     for name in (name for name in log.signals if name in run.names):

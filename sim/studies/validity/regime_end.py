@@ -5,8 +5,8 @@ bump height, so one response predicts the height at which the first limit is rea
 height and a bump slightly above it. Rotating bodies, nonlinear springs and dampers, loads or noise can change the height. If the
 two runs do not enclose the correct height, the next height follows from the largest signal of the highest run below the limit.
 
-With semi-active dampers, the analysis includes these dampers, because they cannot apply all forces of a linear controller at
-any height.
+If there are semi-active dampers, the analysis includes these dampers, because at every height they cannot apply some forces of
+a linear controller.
 """
 
 import math
@@ -79,7 +79,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     Args:
         vehicle: vehicle that the controllers control.
         controllers: controllers with stable loops.
-        bump: bump with the length and speed to study; the response over it predicts the responses at other heights.
+        bump: bump with the length and speed to study; the response over this bump predicts the responses at other heights.
         time: equidistant sample times from 0 [s], shape (T,).
     """
     ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
@@ -103,18 +103,19 @@ def enclose_ends(
     loads: tuple[Load, ...] = (),
     within: float = WITHIN,
 ) -> list[RegimeEnd | None]:
-    """Finds the bump heights at which the linear regime ends for N lengths and speeds, and encloses each by two MuJoCo runs.
+    """Finds the bump heights at which the linear regime ends for N lengths and speeds; two MuJoCo runs enclose each height.
 
     Args:
         vehicle: vehicle that the controllers control.
-        controllers: N controllers, one for each bump.
-        bumps: N bumps with the lengths and speeds to study; the responses over them predict the responses at other heights.
+        controllers: N controllers, one for each of the bumps.
+        bumps: N bumps with the lengths and speeds to study; the responses over these bumps predict the responses at other
+            heights.
         time: equidistant sample times from 0 [s], shape (T,).
         loads: loads on the body over each bump.
         within: factor between the predicted height and the heights of the two runs, see `WITHIN`.
 
     Returns:
-        The end for each bump; None if no limit is reached at any allowed height.
+        End of the linear regime for each bump; None if no limit is reached at any allowed height.
     """
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
     for i, (response, used) in enumerate(_predict_ends(vehicle, controllers, bumps, loads, time)):
@@ -195,7 +196,8 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
     """Returns the next height to try [m].
 
     Args:
-        whole: ascending heights of bumps over which no limit is reached [m], each with the largest value relative to a limit.
+        whole: ascending heights of bumps over which no limit is reached [m], each with the largest signal of this bump relative
+            to its limit.
         high: lowest height at which a limit is reached [m]; infinite if there is no such height.
         within: factor between the predicted height and the heights of the two runs.
     """

@@ -5,10 +5,11 @@ response, which is proportional to the bump height. One linear response per leng
 and the map shows these predictions. MuJoCo confirms the predictions in a few random cells, and along the edge of the linear
 regime. At each length and speed, two runs enclose the height of the edge.
 
-With semi-active dampers, some force of a linear controller is missing at any height. The map then shows the share of missing
-force. The analysis then includes these dampers; its response is also proportional to the height. The characteristic of a
-nonlinear spring or damper departs gradually from its linearisation; a difference above the share `LEAVES` counts as a limit.
-Responses with such characteristics or with loads are not proportional to the height, so each cell needs its own response.
+Semi-active dampers cannot apply some of the forces of a linear controller, whatever the height. For a vehicle with these
+dampers, the map shows the share of missing force. The analysis then includes the dampers; the computed response is also
+proportional to the height. The characteristic of a nonlinear spring or damper departs gradually from its linearisation; a
+difference above the share `LEAVES` counts as a limit. Responses with such characteristics or with loads are not proportional to
+the height, so each cell needs its own response.
 """
 
 import math
@@ -116,7 +117,7 @@ class Cells:
 
     @property
     def unexplained(self) -> int:
-        """Number of cells in which MuJoCo contradicts the prediction, although they are not at a boundary."""
+        """Number of cells in which MuJoCo contradicts the prediction, although these cells are not at a boundary."""
         return len(self.others - self.boundary)
 
     @property

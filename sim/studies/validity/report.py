@@ -107,7 +107,7 @@ RECORD = Record[Cells](
 
 
 def describe(cells: Cells) -> Document:
-    """Returns the printed document about a map."""
+    """Returns the printed document about a map of validity."""
     rows = ((field.label.removesuffix(" first"), field.cell(cells)) for field in FIRST if field.value(cells))
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
@@ -241,7 +241,8 @@ def envelope_figure(cells: Cells) -> Figure:
     vehicle, axes = cells.vehicle, cells.axes
     if len(axes) == 1:
         return _line_figure(cells, axes[0])
-    # The height is on the vertical axis, whatever the order of the options; if the height does not vary, the length is.
+    # The height is on the vertical axis, whatever the order of the options; if the height does not vary, the length is on this
+    # axis.
     shape = (len(axes[0].values), len(axes[1].values))
     turned = axes[1].name == "height" or axes[0].name == "speed"
     vertical, horizontal = (axes[1], axes[0]) if turned else (axes[0], axes[1])
@@ -270,7 +271,9 @@ ENCLOSED_HEIGHT = "MuJoCo: height enclosed by two runs"
 
 
 def _markers(cells: Cells, places: Array) -> list[Curve]:
-    """Returns markers of the simulated cells. `places` contains the coordinates of all cells in the figure, shape (N, 2)."""
+    """Returns markers for the simulated cells in the figure. `places` contains the coordinates of all cells in the figure,
+    shape (N, 2).
+    """
     within, kinds = f"{THRESHOLD.text(cells.threshold)} of a peak", dict[tuple[str, Marker], list[int]]()
     for i, one in cells.driven.items():
         kind: tuple[str, Marker] = ("no limit", "o")

@@ -1,4 +1,4 @@
-"""Studies of the validity of linear analysis: the map, and the height of a bump up to which it is valid."""
+"""Studies of the validity of linear analysis: the map, and the height of a bump up to which linear analysis is valid."""
 
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,9 @@ OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps that a r
 
 
 class EnvelopeStudy(EnvelopeCommand):
-    """Study that maps the validity of linear analysis: for one controller in the command, for each active one in the report."""
+    """Study that maps the validity of linear analysis: for one controller in the command, for each active controller in the
+    report.
+    """
 
     def vehicle(self, given: Vehicle, names: Sequence[str]) -> Vehicle:
         """Returns the vehicle in equilibrium, from which each run over a bump starts."""
@@ -86,8 +88,8 @@ class EnvelopeStudy(EnvelopeCommand):
     def runs(self, request: StudyRequest, result: Cells) -> dict[str, Run]:
         """Simulates some cells of the map, and returns the runs by name.
 
-        For each limit, the simulated cell is the one that exceeds the limit least. One more simulated cell comes closest to a
-        limit without reaching it.
+        For each limit, the simulated cell is the one that exceeds this limit by the least amount. One further simulated cell is
+        the one that comes closest to a limit without reaching it.
         """
         time = sample_times(request.vehicle, request.options.duration, request.options.timestep)
         nearest, used = {}, result.used.max(axis=-1)

@@ -1,1 +1,3 @@
-"""Maximum-likelihood estimates of the parameters of a vehicle: problem, residuals, search, structure and profiles."""
+"""Maximum-likelihood estimates of the parameters of a vehicle: problem, residuals, search, identifiability and likelihood
+profiles.
+"""

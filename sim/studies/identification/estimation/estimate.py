@@ -36,7 +36,7 @@ class Estimate:
     """Result of an identification.
 
     Attributes:
-        problem: parameters to identify, and experiments that measured them.
+        problem: parameters to identify, and the experiments from whose logs they are estimated.
         values: values of all free parameters [SI], by name; parameters that were not estimated keep their initial values.
         free: names of the p parameters that were estimated.
         structure: parameters and combinations that the logs do not determine.
@@ -69,7 +69,7 @@ class Estimate:
 
     @cached_property
     def noiseless(self) -> dict[str, float]:
-        """Signals that are fitted almost exactly: by name, the largest ratio of the residuals' rms to the signal's rms.
+        """Signals that are fitted almost exactly, by name: largest ratio of the residuals' rms to the signal's rms.
 
         For spectra, there are no such signals, because periodograms scatter.
         """
@@ -110,8 +110,8 @@ class Estimate:
         """Returns the value of a product of powers of parameters, and the standard deviation of its logarithm.
 
         Args:
-            powers: power of each parameter, by name. Held parameters count as known, because the product does not depend on
-                their values.
+            powers: power of each parameter, by name. Parameters held at their initial values count as known, because the
+                product does not depend on these values.
         """
         weights = np.array([powers.get(name, 0.0) for name in self.free])
         value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))
@@ -124,7 +124,9 @@ class Estimate:
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """For each free parameter, its product with powers of held parameters that the logs determine, as powers by name."""
+        """For each free parameter, the product with powers of held parameters that the logs determine, given as the power of
+        each parameter.
+        """
         return self.structure.determined(self.free)
 
 
@@ -132,7 +134,7 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     """Identifies parameters.
 
     Args:
-        free: names of the parameters to estimate; the others keep their initial values.
+        free: names of the parameters to estimate; all other parameters keep their initial values.
         seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:
@@ -152,9 +154,9 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
 
 
 def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the solution of a search from the initial values; None if its deviance is larger than the given one.
+    """Returns the parameter values found by a search from the initial values; None if their deviance is larger than `deviance`.
 
-    If the starting point is far from a solution, the search is not run.
+    The search is not run if its starting point is far from a solution.
     """
     of = Residuals(problem, free)
     x = first_unknowns(of)
@@ -165,7 +167,7 @@ def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float)
 
 
 def _estimate(of: Residuals, solution: Solution, structure: Structure) -> Estimate:
-    """Returns the estimate for a solution, with covariances and whiteness tests."""
+    """Returns the estimate that belongs to a solution of the search, with covariances and whiteness tests."""
     x, noise, p = solution.x, solution.noise, len(of.free)
     R, C = information(of.reduced(x, noise)[0], p)
     inverse, values = np.linalg.pinv(R), of.values(x)
@@ -181,7 +183,7 @@ def _estimate(of: Residuals, solution: Solution, structure: Structure) -> Estima
             columns = of.channel_columns(x, noise, i, channel) * np.isfinite(scaled)[:, None]
             middle += autoregressive(scaled).sandwich(np.nan_to_num(columns[:, :p] - columns[:, p:] @ C))
     middle += exact.T @ exact
-    # derivative of the logarithm of each parameter with respect to its unknown
+    # derivative of the logarithm of each parameter with respect to the unknown that represents it
     slopes = np.array([size / max(values[name], 1e-9 * size) for name, size in of.sizes(values).items()])
     return Estimate(
         of.problem,

@@ -1,4 +1,6 @@
-"""Problem of an identification: the parameters to identify, the experiments that measured them, and known combinations."""
+"""Problem of an identification: the parameters to identify, the experiments that provide the logs, and known combinations of
+parameters.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +14,7 @@ from sim.studies.identification.prediction import LogPrediction
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A combination of parameters that is known from elsewhere: a corner weight, or a weighed mass.
+    """A combination of parameters whose value is known from elsewhere, such as a corner weight or a weighed mass.
 
     Attributes:
         name: name of the combination in reports.
@@ -29,15 +31,15 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Parameters to identify, and the experiments that measured them.
+    """Parameters to identify, and the experiments from whose logs they are estimated.
 
     Attributes:
         vehicle: vehicle with the initial values of its parameters.
         change: function that returns the vehicle with other values of some parameters.
         first: initial values of all free parameters, by name; each is above 0.
-        experiments: experiments that measured the parameters.
-        known: combinations that are known from elsewhere.
-        from_zero: names of the free parameters that may be zero; the unknowns of all others are logarithms.
+        experiments: experiments from whose logs the parameters are estimated.
+        known: combinations of parameters whose values are known from elsewhere.
+        from_zero: names of the free parameters that may be zero; all other parameters are represented by their logarithms.
         lowest: smallest allowed values of parameters that need a limit above 0 (such as an exponent), by name.
     """
 

@@ -1,8 +1,9 @@
 """Confidence interval of a parameter by profile likelihood, for intervals that are wide, one-sided or not symmetric.
 
 The profile is the deviance as a function of one parameter, minimised over all other unknowns. Points of the profile are computed
-in steps from the estimate outwards. Each point starts from the previous one, moved along the tangent of the curve of minima. The
-square root of the rise of the deviance is almost a straight line, so a few more points give the end of the interval.
+in steps from the estimate outwards. Each point is computed from the previous one, which is first moved along the tangent of the
+curve of minima. The square root of the deviance's rise is almost linear in the parameter, so a few more points give the end of
+the interval.
 """
 
 import math
@@ -17,15 +18,16 @@ from sim.studies.identification.estimation.search import CHI2, NORMAL, lower_lim
 
 STRIDE = 1.5  # largest step of a parameter's logarithm; it changes the parameter by a factor of 4.5
 ROUNDS, MOST = 2, 8  # largest number of rounds of the search for a point, and of evaluations in each round
-FINE = 1e-2  # accuracy of the end of an interval, relative to the last step
+FINE = 1e-2  # tolerance for the end of a confidence interval, as a fraction of the last step
 REFINED = 6  # largest number of points within the last step
 
 
 def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
 
-    A side is open if the likelihood never falls to the level of an interval's end. The parameter is changed by a factor of up to
-    8000, or to zero if it may be zero. If residuals are coloured, the required fall is larger, as in the robust covariance.
+    A side is open if the likelihood never falls as far as it must at the end of an interval. The parameter is changed by a
+    factor of up to 8000, or to zero if it may be zero. If residuals are coloured, the required fall is
+    larger by the ratio of the parameter's robust variance to its variance for white residuals.
     """
     i, own = of.free.index(name), of.residuals
     from_zero, best = name in of.problem.from_zero, of.x[i]
@@ -42,12 +44,13 @@ def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
 
 
 def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float | None:
-    """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if it never does.
+    """Returns the value of unknown i at which the square root of the deviance's rise reaches a level; None if this level is
+    never reached.
 
     Args:
         last: value of the unknown at which the search stops.
         step: size of the first step of the unknown from the estimate.
-        level: square root of the required rise.
+        level: square root of the rise of the deviance at the end of the interval.
     """
     from scipy.optimize import brentq
 

@@ -56,18 +56,20 @@ class Residuals:
         return values
 
     def value(self, name: str, unknown: float) -> float:
-        """Returns a parameter's value for a value of its unknown; the inverse of `coordinate`."""
+        """Returns the value of a parameter from the unknown that represents it; the inverse of `coordinate`."""
         if name in self.problem.from_zero:
             return self.problem.first[name] * max(unknown, 0.0)
         return self.problem.first[name] * math.exp(min(max(unknown, -FURTHEST), FURTHEST))
 
     def coordinate(self, name: str, value: float) -> float:
-        """Returns a parameter's unknown: its ratio to the initial value if it may be zero, else the logarithm of this ratio."""
+        """Returns the unknown that represents a parameter: the ratio to its initial value if it may be zero, else the logarithm
+        of this ratio.
+        """
         ratio = value / self.problem.first[name]
         return ratio if name in self.problem.from_zero else math.log(ratio)
 
     def sizes(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Returns the derivative of each free parameter with respect to its unknown, by name."""
+        """Returns the derivative of each free parameter with respect to the unknown that represents it, by name."""
         return {name: (self.problem.first if name in self.problem.from_zero else values)[name] for name in self.free}
 
     def delays(self, x: Array, experiment: Experiment) -> list[float]:
@@ -85,7 +87,9 @@ class Residuals:
         return shifts
 
     def predicted(self, x: Array) -> list[PredictedSignals]:
-        """Returns the predicted signals of all experiments, with offsets. The last result is kept for the same x."""
+        """Returns the predicted signals of all experiments, with offsets. The last result is cached, for further calls with the
+        same x.
+        """
         if self._at is None or not np.array_equal(self._at, x):
             values, each = self.values(x), list[PredictedSignals]()
             for i, one in enumerate(self.problem.predictions):
@@ -99,7 +103,7 @@ class Residuals:
         return [one.values - measured for one, measured in zip(self.predicted(x), self.measured, strict=True)]
 
     def channels(self, x: Array) -> Iterator[tuple[Channel, Array]]:
-        """Yields all channels of all experiments, each with its differences without missing values."""
+        """Yields all channels of all experiments, each with its predicted minus measured values, without missing values."""
         for one, difference in zip(self.problem.experiments, self.differences(x), strict=True):
             for channel, values in zip(one.channels, difference.T, strict=True):
                 yield channel, values[np.isfinite(values)]

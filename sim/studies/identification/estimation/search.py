@@ -34,7 +34,7 @@ class Solution:
 
 
 def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
-    """Returns the initial unknowns: the given parameters, and the starting states and offsets that fit best with them.
+    """Returns the initial unknowns: the initial parameter values, and the starting states and offsets that fit best with them.
 
     Args:
         shift: change that is added to the unknowns of the free parameters, shape (p,).
@@ -54,12 +54,13 @@ def first_unknowns(of: Residuals, shift: Array | None = None) -> Array:
 
 
 def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among: Sequence[int] | None = None) -> Solution:
-    """Returns the solution of largest likelihood near x. Unknowns and noise are estimated alternately.
+    """Returns the solution with the largest likelihood that a search from x finds. Unknowns and noise are estimated
+    alternately.
 
     Args:
         rounds: largest number of rounds, in which unknowns and noise are estimated alternately.
         most: largest number of evaluations in each round.
-        among: indices of the unknowns that change; all by default.
+        among: indices of the unknowns that the search may change; all by default.
     """
     noise = of.noise(x)
     for _ in range(rounds):
@@ -89,7 +90,7 @@ def least_squares(of: Residuals, x: Array, noise: Mapping[str, float], most: int
     """Returns the unknowns with the least sum of squares of residuals divided by the noise, after at most `most` evaluations.
 
     Args:
-        among: indices of the unknowns that change; all by default.
+        among: indices of the unknowns that the search may change; all by default.
     """
     from scipy import optimize
 

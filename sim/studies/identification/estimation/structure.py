@@ -4,8 +4,8 @@ J contains the derivatives of all residuals, and J'J is the information matrix. 
 projected onto the orthogonal complement of the columns for all other unknowns. The singular value decomposition of the result
 gives the singular values s, and in V the directions in the space of the logarithms. A change of the logarithms along a
 direction with s = 0 changes no signal. The motion of a quarter-car has one such direction: all masses, stiffnesses and dampings
-multiplied by the same number. For each such direction, one parameter is then held at its initial value. For each other
-parameter, the logs determine the product of this parameter with powers of the held ones.
+multiplied by the same number. For each such direction, one parameter is then fixed at its initial value. For each of the other
+parameters, the logs determine the product of this parameter with powers of the fixed ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,8 @@ class Structure:
     """Parameters and combinations that the signals do not determine.
 
     Attributes:
-        held: parameters to hold at their initial values, because the signals determine only their products with others.
+        held: parameters to hold at their initial values, because the signals determine only products of these with other
+            parameters.
         silent: parameters that affect no signal.
         directions: directions along which no signal changes: component along each parameter's logarithm, by name.
     """
@@ -37,7 +38,9 @@ class Structure:
     directions: tuple[Mapping[str, float], ...] = ()
 
     def determined(self, free: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Returns for each free parameter its product with held parameters that the logs determine, as powers by name."""
+        """Returns for each free parameter the product with powers of held parameters that the logs determine, as the power of
+        each parameter.
+        """
         if not self.directions:
             return {}
         own, held = (np.array([[one.get(name, 0.0) for one in self.directions] for name in names]) for names in (free, self.held))
@@ -51,7 +54,8 @@ class Structure:
 
 
 def information(R: Array, p: int) -> tuple[Array, Array]:
-    """Returns the information on the first p unknowns if all others are also unknown, and how the others compensate for them.
+    """Returns the information on the first p unknowns if all others are estimated, too, and how the others compensate for
+    changes of the first p.
 
     Args:
         R: derivatives of all residuals with respect to the u unknowns, or the factor R of their QR decomposition, shape (k, u).

@@ -1,17 +1,18 @@
 """Spectra of logs from a random road: what the sensors measured, and what a vehicle predicts.
 
-The road is not measured; only its spectrum has a known form (ISO 8608). Let F be the frequency response of a vehicle from the
-random sources of the road to the q sensors. The measurements then have the one-sided spectral matrix
+The road is not measured; all that is known about it is the form of its spectrum (ISO 8608). Let F be the frequency response of
+a vehicle from the random sources of the road to the q sensors. The measurements then have the one-sided spectral matrix
 
     S(f) = F F* + 2 h diag(noise^2),
 
-for the sample time h. F contains the delays of the wheels, so front and rear wheels drive over the same road.
+for the sample time h. F contains the delays between the wheels, so front and rear wheels drive over the same road.
 
 Each log is divided into segments of equal length, which is shorter for high frequencies. A segment is multiplied by a taper w
 that rises from 0 to 1 and falls back to 0. The periodogram of the segment, averaged over the segments, has the expected value
 E, which is the convolution of S with the spectrum of the taper. Comparing periodograms with E instead of S removes the bias due
-to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies count as independent.
-The taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate Anal. 27, 55-83).
+to leakage (A. M. Sykulski et al. (2019), Biometrika 106, 251-266). Periodograms at different frequencies are treated as
+independent. The taper reduces their information by the factor N sum w^4 / (sum w^2)^2 (R. Dahlhaus (1988), J. Multivariate
+Anal. 27, 55-83).
 """
 
 import itertools
@@ -52,13 +53,13 @@ class Periodograms:
     """Measured spectra of the segments of an experiment, which all have the same length.
 
     Attributes:
-        experiment: experiment that was measured.
+        experiment: experiment from whose log the spectra are computed.
         frequencies: frequencies at which the periodograms are used [Hz], shape (K,).
         measured: mean of the periodograms, shape (K, q, q); complex, one-sided.
         segments: number of segments into which the log is divided.
         inflation: factor by which the taper reduces the information.
         kernel: spectrum of the taper at offsets of half a bin, shape (2 REACH + 1,); the sum is 1.
-        first: index of the first frequency; the spacing of the indices is one bin.
+        first: index of the first frequency, counted in bins from 0 Hz.
     """
 
     experiment: Experiment
@@ -71,7 +72,9 @@ class Periodograms:
 
     @property
     def weight(self) -> float:
-        """Effective number of independent segments, which is smaller because the taper reduces their information."""
+        """Number of independent segments with the same information; smaller than `segments`, because the taper reduces the
+        information.
+        """
         return self.segments / self.inflation
 
     @property
@@ -80,7 +83,7 @@ class Periodograms:
         return float(self.frequencies[0]) / self.first
 
     def powers(self, spectra: Array) -> Array:
-        """Returns the mean squares of the q signals with spectra at some of the frequencies, shape (q,)."""
+        """Returns the mean squares of the q signals, computed from their spectra at some of the frequencies, shape (q,)."""
         return np.real(np.einsum("kii->i", spectra)) * self.width
 
     @cached_property
@@ -101,7 +104,7 @@ class Periodograms:
         return np.maximum(np.abs(places), 1) * self.width / 2, places < 0
 
     def expected(self, spectra: Array) -> Array:
-        """Returns the expected periodograms, shape (K, ...), of spectra on the grid, shape (J, ...)."""
+        """Returns the expected periodograms, shape (K, ...), from spectra at the frequencies `grid`, shape (J, ...)."""
         below = self.grid[1]
         spectra[below] = spectra[below].conj()
         last = 2 * len(self.frequencies) - 1
@@ -189,8 +192,8 @@ class RoadResponse:
     Args:
         problem: identification problem with the vehicle and its parameters.
         one: experiment on a random road.
-        values: values of all parameters, including the road's.
-        free: names of the p parameters for the derivatives.
+        values: values of all parameters, including those of the road.
+        free: names of the p parameters with respect to which derivatives are computed.
     """
 
     def __init__(self, problem: IdentificationProblem, one: Experiment, values: Mapping[str, float], free: Sequence[str]) -> None:
@@ -243,7 +246,7 @@ class RoadResponse:
 
 
 def _matrices(vehicle: Vehicle, one: Experiment) -> list[Array]:
-    """Returns A, Bv, Bd, C, Dv and Dd of `continuous_model` for the road alone."""
+    """Returns A, Bv, Bd, C, Dv and Dd of `continuous_model`, with the road as the only input."""
     A, Bv, Bd, C, Dv, Dd = continuous_model(vehicle, one)
     r = one.road.shape[1]
     return [A, Bv[:, :r], Bd[:, :r], C, Dv[:, :r], Dd[:, :r]]

@@ -44,7 +44,7 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
     """Identifies parameters of a vehicle and its road. Estimates from spectra have no predicted signals.
 
     Args:
-        free: names of the parameters to estimate; the others keep their initial values.
+        free: names of the parameters to estimate; all other parameters keep their initial values.
         seed: random seed for further starting points, which are tried if the first one leads to a poor fit.
 
     Raises:
@@ -92,7 +92,7 @@ def estimate_spectra(problem: IdentificationProblem, free: Sequence[str], seed: 
 
 
 def nearby_spectra(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
-    """Returns the solution of a search from the initial values; None if its deviance is larger than the given one."""
+    """Returns the parameter values found by a search from the initial values; None if their deviance exceeds `deviance`."""
     of = SpectralResiduals(problem, free)
     x = search(of, with_levels(of, of.first()))
     return of.values(x) if of.deviance(x, {}) <= deviance else None
@@ -127,7 +127,7 @@ def unsteady(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def with_levels(of: SpectralResiduals, x: Array) -> Array:
-    """Returns the unknowns with the roughness and noise that are most likely for the other unknowns."""
+    """Returns the unknowns, in which roughness and noise now have the values that are most likely for the other unknowns."""
     return search(of, x, of.levels, COARSE) if of.levels else x
 
 
@@ -135,7 +135,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
     """Returns the unknowns with the largest likelihood near x.
 
     Args:
-        among: indices of the unknowns that change; all by default.
+        among: indices of the unknowns that the search may change; all by default.
         enough: the search ends if the derivatives of the deviance are smaller than this.
         most: largest number of iterations.
     """
@@ -164,7 +164,7 @@ def search(of: SpectralResiduals, x: Array, among: Sequence[int] = (), enough: f
 
 
 def spectral_tests(of: SpectralResiduals, x: Array) -> list[dict[str, Whiteness]]:
-    """Returns for each experiment the test of each signal; see the module docstring."""
+    """Returns for each experiment the test result of each signal; see the module docstring."""
     each = list[dict[str, Whiteness]]()
     for one in of.problem.experiments:
         own = [(spectra, E) for spectra, E in zip(of.spectra, of.expected(x), strict=True) if spectra.experiment is one]
@@ -191,7 +191,7 @@ def together(tests: Sequence[Whiteness]) -> Whiteness:
 
 
 def spectral_statement(of: Estimate) -> Statement:
-    """Returns the statement on the test of the spectra."""
+    """Returns a statement about the result of the test of the spectra."""
     if of.white:
         return Statement(
             "The spectra are as expected: vehicle, random road and noise explain all that the sensors show.", "holds"
@@ -231,7 +231,7 @@ def gamma_test(ratios: Sequence[Array], spectra: Periodograms) -> Whiteness:
     """Tests whether ratios of periodograms to their expected values have the distribution stated in the module docstring.
 
     Args:
-        ratios: ratios of the same frequencies, each of shape (K,).
+        ratios: arrays of ratios at the same frequencies, each of shape (K,).
     """
     from scipy.special import chdtrc, gammainc, kolmogorov
 

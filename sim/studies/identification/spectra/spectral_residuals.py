@@ -58,12 +58,14 @@ class SpectralResiduals(Residuals):
         return {**self.road, **super().values(x)}
 
     def value(self, name: str, unknown: float) -> float:
-        """Returns a parameter's value. A negative unknown has the same meaning as a positive one."""
+        """Returns a parameter's value. For a parameter that may be zero, a negative unknown has the same meaning as a positive
+        one.
+        """
         return super().value(name, max(abs(unknown), NEAR_ZERO) if name in self.problem.from_zero else unknown)
 
     @cached_property
     def scale(self) -> dict[str, float]:
-        """Rms of each signal at the frequencies that are used."""
+        """Rms of each measured signal, computed from the frequencies that are used for the estimate."""
         squares = dict.fromkeys(self.problem.signals, 1e-300)
         for each in self.spectra:
             for name, square in zip(each.experiment.signals, each.powers(each.measured).tolist(), strict=True):
@@ -174,8 +176,9 @@ class SpectralResiduals(Residuals):
     def fits(self, x: Array) -> list[dict[str, float]]:
         """Returns for each experiment the fit of the spectrum of each signal.
 
-        The fit is 1 minus the relative difference between measured and expected rms in bands of frequencies. The difference is a
-        root mean square over all bands. The part of it that the scatter of a random road causes is subtracted.
+        The fit is 1 minus the relative difference between the measured and the expected rms in bands of frequencies. The
+        difference is a root mean square over all bands. The part of the difference that the scatter of a random road causes is
+        subtracted.
         """
         fits = list[dict[str, float]]()
         for one in self.problem.experiments:

@@ -393,11 +393,12 @@ class ControlEnergy(Work):
 
 
 def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns the full name of a metric: `metric` replaces the common prefix in the signal's name, or follows this name.
+    """Returns the full name of a metric: `metric` replaces the common prefix of the signal's name, or follows a name without
+    this prefix.
 
     Args:
         signal: name of the signal to which the metric belongs.
         common: signal whose name is the common prefix.
-        metric: name of the metric in the full name.
+        metric: part of the full name that describes the metric.
     """
     return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
