@@ -1,6 +1,6 @@
 """Design of a controller for any plant. The arguments are the keys of a controller's section in a vehicle file.
 
-The arguments are checked first; `models/laws/combinations.py` lists which of them can be combined. The result is a
+The arguments are checked first; `models/laws/combinations.py` lists which arguments can be combined. The result is a
 `DesignProblem`, for which `synth.design.methods` chooses the design method. Every method has its own file and can also be
 called directly.
 """
@@ -86,10 +86,10 @@ def design_feedback(
         bounds: bounds on other quantities, for example [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: relative gain errors of measurements and forces that the design must tolerate, for example {"y1": 0.1,
             "force": 0.05}.
-        family: additional plants with the same gain. The largest norm of all plants is minimised. A plant without its own
-            measurements has the measurements Cy.
+        family: additional plants for which the same gain is designed. The largest norm of all plants is minimised. A plant
+            without its own measurements has the measurements Cy.
         structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. If `order` is a
-            number of states, each force has its own law with this number of states. The text "pi" or "pid" selects this type of
+            number of states, each force has its own law with this number of states. The text "pi" or "pid" selects a PI or PID
             law from each measurement to its force.
         pid: time constant [s] of the low-pass filter on the derivative of a "pid" law, for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.

@@ -1,4 +1,4 @@
-"""The design problem of any plant, and its result.
+"""Data classes for the design problem of any plant and for the result of a design.
 
 Every method of `synth.design.methods` receives a `DesignProblem` and returns a `DesignResult`.
 """
@@ -110,7 +110,7 @@ class DesignProblem:
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.
         certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
-            its loop with the plant.
+            the closed loop of this law and the plant.
         work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error that the previous method raised, if it found no controller.

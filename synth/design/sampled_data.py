@@ -132,8 +132,8 @@ def by_levels(
         level: first level. Each later level is the norm that the law of the previous level reaches.
         method: function that designs a law for the plant of a level, starting from the best law so far. The function returns
             the law and remarks.
-        ended: function of a norm, its level, and the lowest earlier norm. The function returns True if another level would
-            bring no improvement.
+        ended: function of the norm that a law reaches, the level of its design, and the lowest earlier norm. The function
+            returns True if another level would bring no improvement.
         best: a law that is already known, if any.
         levels: largest number of levels.
         higher: factor by which the level is multiplied if no law was found.
@@ -234,7 +234,7 @@ def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Pl
 
 
 def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
-    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the closest law found."""
+    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the law with the closest norm."""
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
@@ -352,7 +352,7 @@ def lowest(ends: Sequence[End]) -> End:
 
 
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
-    """Descends from a stabilising K, as `refine` does, on the plants of decreasing levels, until the limit of the work."""
+    """Descends from a stabilising K, as `refine` does, on the plants of decreasing levels, until `work` reaches its limit."""
 
     def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
         return static_law(lower_norm(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
@@ -366,7 +366,7 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
 
     Args:
         known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
-        near: estimate of the norm, from which its computation starts.
+        near: estimate of the norm, from which the computation of the norm starts.
         work: counter of the computing work of the search.
     """
     nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
@@ -414,7 +414,7 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     Args:
         held: sampled-data problem.
         K: gain on all measurements, shape (m, q).
-        near: estimate of the norm, from which its computation starts.
+        near: estimate of the norm, from which the computation of the norm starts.
 
     Raises:
         DesignError: the loop with K is not stable, or the norm is determined by the motion within one period, in which no force
@@ -491,7 +491,7 @@ def _gain(
 
 
 def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if a norm is close to the part of the gain that no control force can change."""
+    """Returns True if a norm is close to the part of the L2 gain that no control force can change."""
     plant = held.at(norm * (1 - WORTHWHILE_GAIN))
     return plant is None or bound_beyond_control(plant).gamma >= 1
 
@@ -571,7 +571,7 @@ def _level(
     """Returns the level for which the central path of the discrete plant ends at a norm of 1, and this path.
 
     If the path ends below 1 at every level above the largest gain within one period, this gain is the level. If a problem has
-    no solution at a level far above the norm, it has none at lower levels.
+    no solution at a level far above the norm, it has no solution at lower levels either.
     """
     below, above, level, grow = 0.0, math.inf, start, GROW
     seen = list[tuple[float, float]]()
@@ -620,7 +620,7 @@ def _level(
 
 
 def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
-    """Returns the level at which the norm is 1, from a polynomial for log level in terms of log norm; NaN without a slope.
+    """Returns the level at which the norm is 1, by a polynomial for log level in log norm; NaN if two norms are equal.
 
     If only one pair is known, the norm is assumed to be inversely proportional to the level.
     """

@@ -230,7 +230,7 @@ class GainSearch:
     def starts(self, most: int = MOST) -> list[Candidate]:
         """Returns stable starting points with gains of many magnitudes.
 
-        If there are none, the result comes from a limited number of stabilising starts.
+        If no stable point is found, more stabilising starts are tried, up to `most`.
         """
         sampled = survey(self.landscape, self.limit)
         candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")

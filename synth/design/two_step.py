@@ -8,9 +8,9 @@ also fulfil Y X^-1 = K C_y (8), which is not a convex condition. Step 2 therefor
 the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a
 solver nor on units.
 
-The functions above `well_posed` implement the formulas of the paper. The functions below it choose independent measurements and
-units. If step 2 has no solution for the optimal X of step 1, they use the X of an earlier point on the central path.
-`synth.design.degenerate` treats plants whose problem (22) has no optimum.
+The functions above `well_posed` implement the formulas of the paper. The functions below `well_posed` choose independent
+measurements and units. If step 2 has no solution for the optimal X of step 1, these functions use the X of an earlier point on
+the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
 import contextlib
@@ -182,7 +182,7 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
         lower_bound: lower bound on the norm of every state feedback; the certificate contains it.
 
     Raises:
-        InfeasibleError, DesignError: an error of `state_path` occurs, or no certificate holds.
+        InfeasibleError, DesignError: `state_path` raises this error, or no certificate holds.
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
@@ -333,7 +333,7 @@ def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
 
 
 def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
-    """Returns the plant without measurement noise, the same plant with only independent rows of C_y, and their indices."""
+    """Returns the plant without measurement noise, the same plant with only independent rows of C_y, and the row indices."""
     check_inputs(plant)
     plant = plant.measured(plant.Cy)
     kept = independent_rows(plant)

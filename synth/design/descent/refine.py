@@ -1,4 +1,4 @@
-"""`--refine`: descent on the norm from a gain that LMIs gave, as long as the decrease justifies a larger gain (`growth.py`)."""
+"""`--refine`: descent on the norm from a gain designed with LMIs, while the decrease justifies a larger gain (`growth.py`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,9 +30,10 @@ class Refinement:
         gain: gain matrix K, shape (m, q).
         before: norm before the refinement.
         after: norm after the refinement.
-        growth: ratio of the largest gain entries after and before the refinement, in internal units of the loop.
-        refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if another
-            stage would not lower gamma.
+        growth: largest gain entry after the refinement, divided by the largest gain entry before, in internal units of the
+            loop.
+        refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if no stage
+            was undone, or if the undone stage did not lower gamma.
         what: name of the norm that is lowered.
     """
 
@@ -121,7 +122,7 @@ def own_norm(plant: Plant, K: Array) -> float:
 
 @numerics()
 def worth_refining(plant: Plant, K: Array) -> float:
-    """Returns a quick, low estimate of the relative decrease of the norm that `refine` would achieve, from its first rounds.
+    """Returns a quick, low estimate of the relative decrease of the norm by `refine`, from the first rounds of the descent.
 
     Args:
         K: a stabilising gain, shape (m, q).

@@ -12,8 +12,8 @@ loop with G. K may fail to stabilise the loop, so stability is checked afterward
 If all states are measured, the Riccati equation of the H-infinity norm gives a gain whose norm is as close to the lower bound
 as required.
 
-Two descents look for a stabilising gain, from one starting point after another. Neither descent is certain to find such a gain,
-because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
+Two types of descent search for a stabilising gain, from several starting points in turn. Neither type is certain to find
+such a gain, because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
 
 - The first descent lowers the largest real part of the poles. This function decreases steeply, but it is not Lipschitz
   continuous, and the descent stops at gains where poles coincide.
@@ -46,7 +46,7 @@ SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """Returns the best stabilising random gain of each decade that has one, in ascending order of size; shape (N,) each."""
+    """Returns the best stabilising random gain of each decade, if there is any, in ascending order of size; shape (N,) each."""
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
@@ -108,8 +108,8 @@ def _directions(generator: np.random.Generator, count: int, shape: tuple[int, in
     return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
-# Costs that are added to every state and every force, relative to z. These costs are tried in turn so that the Riccati
-# equation has a solution
+# Costs that are added to every state and every force, relative to z. All these costs are tried, because the Riccati equation
+# may have no solution for some of them
 COUNTS = (1e-8, 1e-4, 1e-2)
 # power of a disturbance that is added to every state, relative to the power of w, because w may not affect all states
 EVERYWHERE = 1e-6

@@ -47,9 +47,9 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
         `without` is the H2 norm without preview.
 
     Raises:
-        InputError: the preview time is not allowed, or an error of `lqr_design` occurs.
+        InputError: the preview time is not allowed, or `lqr_design` raises this error.
         InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
-        DesignError: some force has no weight in z, or an error of `lqr_design` occurs.
+        DesignError: some force has no weight in z, or `lqr_design` raises this error.
 
     Example:
         >>> from synth import GeneralizedPlant, preview_design

@@ -21,9 +21,9 @@ and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-A larger share gives a slower controller. The share is therefore reduced until the required gamma is reached, which gives the
-slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an actuator, the
-search returns the trade-off between norm and speed. This is the smallest gamma for each share.
+A larger share of noise and cost gives a slower controller. The share is therefore reduced until the required gamma is reached,
+which gives the slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an
+actuator, the search returns the trade-off between norm and speed. This trade-off consists of the smallest gamma for each share.
 
 If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
 equally good. Each law that is too fast is therefore also tried without its fast poles.
@@ -62,7 +62,7 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs, where D has rank m.
-        gamma: value below which the norm of the closed loop must be.
+        gamma: value that the norm of the closed loop must stay below.
 
     Raises:
         InfeasibleError: no law has this norm, or rounding prevents finding it.
@@ -91,11 +91,11 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
 
 def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
-    """Returns the state feedback G, shape (m, n), of the saddle point for a level gamma. The norm of its loop is below gamma.
+    """Returns the saddle-point state feedback G, shape (m, n), for a level gamma. The norm of the loop with G is below gamma.
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs.
-        gamma: level, above the norm of the loop.
+        gamma: level, which must exceed the smallest norm of a state feedback.
         share: regularisation: every force has at least this cost, relative to the larger of the norms of D and C.
 
     Raises:
@@ -303,7 +303,7 @@ class TradeOffPoint:
 
     @property
     def excess(self) -> float:
-        """Speed of the loop, relative to the highest speed that need not be justified, `much`; 1 if the loop is slower."""
+        """Speed of the loop relative to `much`, the highest speed that need not be justified; 1 if the loop is slower."""
         return max(1.0, self.speed_up / self.search.much)
 
     @property
@@ -344,7 +344,7 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """Returns the slow enough controller with the smallest `trouble` and nearly the smallest cost, or None.
+    """Returns the slow enough controller with the least `trouble` and nearly the smallest cost; None if all are too fast.
 
     Args:
         trade: controllers in any order.
@@ -363,7 +363,7 @@ class RiccatiSearch:
 
     Attributes:
         fastest: speed of the plant without control [rad/s]; see `speed`.
-        much: multiple of `fastest`. A loop that is faster than this multiple must have a lower norm; see `PRICE`.
+        much: multiple of `fastest`. A loop that is faster than this multiple must be justified by a lower norm; see `PRICE`.
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
@@ -376,7 +376,7 @@ class RiccatiSearch:
         self.much = max(FASTEST, quick / self.fastest)
 
     def near(self, fastest: float) -> TradeOffPoint | None:
-        """Returns the slow enough controller with the least `trouble` within WITHIN of the lower bound, or None."""
+        """Returns the slow enough controller with the least `trouble` and a norm within WITHIN of the lower bound, or None."""
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
@@ -413,7 +413,7 @@ class RiccatiSearch:
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares between those of two neighbours on a front, one slow enough and one too fast."""
+        """Returns controllers for shares of noise and cost between a slow enough and a too fast neighbour on a Pareto front."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )

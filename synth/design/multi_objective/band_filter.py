@@ -43,6 +43,6 @@ def band_filter(band: Band) -> StateSpace:
     low, high = band
     kind, edges = ("lowpass", high) if low == 0 else ("highpass", low) if np.isinf(high) else ("bandpass", [low, high])
     zpk = signal.ellip(ORDER, RIPPLE, BESIDE, edges, kind, analog=True, output="zpk")
-    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the option `output` selects this format
+    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the option `output` selects zeros, poles and gain
     sections = signal.zpk2sos(z, p, k * 10 ** (RIPPLE / 20), analog=True)
     return reduce(series, (transfer_function(section[:3], section[3:]) for section in sections))

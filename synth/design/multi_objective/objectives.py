@@ -29,11 +29,11 @@ class Decay(Term):
         return 2 + self.landscape.slowest(x) / self.rate
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the values for all poles close to the slowest pole."""
+        """Returns the values of the term for all poles close to the slowest pole."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the values for the poles at another point."""
+        """Returns the values of the term for the slowest poles at another point x."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
     def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
@@ -101,7 +101,7 @@ class EnergyPeak(Term):
         square = float(c @ P @ c)
         if not square > 0:
             return 0.0, np.zeros(len(x))
-        # Half the derivative of c P c'. The dynamics, the signal and the measurement noise contribute to it.
+        # Half the derivative of c P c'. The dynamics, the signal and the measurement noise contribute to this derivative.
         moved = loop.B.T @ Q
         half = moved @ P @ loop.Cy.T + np.outer(self.signal.g @ land.after(x), loop.Cy @ P @ c) + moved @ Bw @ loop.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit

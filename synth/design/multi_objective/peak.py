@@ -37,7 +37,7 @@ class RoadPeak(Term):
         """Args:
         driven: plant on its road, with the signal.
         scale: scale of each entry of the gain, as in a landscape, shape (m, q).
-        unit: largest allowed magnitude of the signal, to which values are relative.
+        unit: largest allowed magnitude of the signal, by which values are divided.
         """
         self.driven, self.scale, self.name = driven, scale, driven.name
         self.spare = SPARE
@@ -76,7 +76,7 @@ class RoadPeak(Term):
         return self._made(x, touching, touching=True)
 
     def reevaluate(self, x: Array, cuts: Sequence[tuple[int, float, float]]) -> Linearisation:
-        """Returns the signal for another gain at the same times."""
+        """Returns the signal for another gain at the times that the cuts contain."""
         _, y, slopes, _ = self._signal(x)
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in cuts]
         return self._made(x, again, touching=False)
@@ -107,7 +107,7 @@ class RoadPeak(Term):
         return x.reshape(self.scale.shape) * self.scale
 
     def _signal(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns states, signal and its time derivative over time, and the signal next to kinks of the road.
+        """Returns the states, the signal and its time derivative at all times, and the signal next to kinks of the road.
 
         The last result is cached.
         """

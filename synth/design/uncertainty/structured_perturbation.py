@@ -25,7 +25,7 @@ from synth.plant.state_space import StateSpace
 # a norm counts as equal to the inverse of the size of the errors if their relative difference is smaller than this
 EQUALITY_TOLERANCE = 1e-9
 STARTS, ITERATIONS = 12, 80
-# frequencies that replace 0 and infinity, relative to the poles, because an error has no phase at 0 and infinity
+# frequencies used instead of 0 and infinity, where an error has no phase, as multiples of the slowest and fastest pole
 SLOW, FAST = 1e-4, 1e4
 BEYOND = (
     0.0,
@@ -123,7 +123,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
-    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if nothing is known."""
+    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if there is no loop or no performance block."""
     if closed is None:
         return 0.0
     if not is_stable(closed.A):
