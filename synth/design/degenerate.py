@@ -79,7 +79,8 @@ def unpenalised_inputs(plant: Plant) -> list[str]:
 def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
     """Returns a list with a message about the slowest undamped mode that is unobservable in z.
 
-    Problem (22) then has no optimum. The list is empty if every undamped mode is observable in z.
+    If z does not contain an undamped mode, problem (22) has no optimum. The list is empty if every undamped mode is observable
+    in z.
     """
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
@@ -108,7 +109,7 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
     """Checks that every mode that does not decay is observable in z.
 
-    Otherwise, the central path of problem (22) does not end at an optimum.
+    If one of these modes is unobservable in z, the central path of problem (22) does not end at an optimum.
 
     Raises:
         InfeasibleError: no control force can stabilise the plant; the message describes the mode.
@@ -122,7 +123,11 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns a basis of the observable states, shape (n, k), the plant of these states, and the gain that hides the others."""
+    """Separates the observable states of a plant from the states that a gain can hide from z.
+
+    Returns:
+        A basis of the observable states, shape (n, k), the plant with only these states, and this gain.
+    """
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]

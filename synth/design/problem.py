@@ -55,7 +55,7 @@ class WellPosedProblem:
     """Problem (22) of a plant, regularised if it is degenerate.
 
     Attributes:
-        plant: plant for which the design is made: the given plant, unless its problem is degenerate.
+        plant: plant for which the design is made, which is the given plant unless its problem is degenerate.
         case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
         best: state gain that is known to be optimal, shape (m, n); None if no such gain is known.
         best_case: description of the degeneracy that makes `best` optimal.
@@ -99,9 +99,9 @@ class DesignProblem:
         near: estimate of the norm of the sampled-data loop, from which the search for this norm starts.
         goals: norm to minimise and bounds to fulfil in the design of a static gain; None for a design without goals.
         errors: plant with frequency-weighted uncertainties, for a design of robust performance; None for other designs.
-        alternatives: True to compute a lower bound for a static gain, and to continue if the two steps end above this bound.
-            Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that the result of
-            the two steps is not changed.
+        alternatives: True to compute a lower bound for a static gain, and to continue the design if the two steps end above
+            this bound. Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that
+            the result of the two steps is not changed.
         thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
             plants.
         lower_bound: lower bound on the norm of every controller from these measurements, if known.
@@ -144,7 +144,7 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns the same problem, with the result from which the next method continues."""
+        """Returns this problem with the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:

@@ -1,10 +1,10 @@
 """Designs for the sampled-data loop, which apply the methods for ideal loops to a discrete plant.
 
-For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). The states
-of this plant include the delayed forces, and the disturbances include the measurement noise. A law for this plant therefore
-takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method
-designs a law at one level. The exact norm of the sampled-data loop with this law (`synth/analysis/sampled_norm.py`) becomes the
-next level.
+For every value of the L2 gain of the sampled-data loop, called a level, there is a discrete plant
+(`synth/analysis/sampled_loop.py`). The states of this plant include the delayed forces, and the disturbances include the
+measurement noise. A law for this plant therefore takes into account the delay, the hold and the motion between samples.
+`by_levels` searches for the lowest level. A method designs a law at one level. The exact norm of the sampled-data loop with
+this law (`synth/analysis/sampled_norm.py`) becomes the next level.
 
 - Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
 - A given order or structure: descent. The first level is near the lower bound. At each later level, descent starts from the
@@ -292,7 +292,7 @@ def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[
 
 
 def _solvable(plant: Plant | None) -> bool:
-    """Returns True if Riccati equations give a law for which the norm of a level's discrete plant is below one."""
+    """Returns True if Riccati equations give a law with which the discrete plant of a level has a norm below one."""
     if plant is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             search = RiccatiSearch(continuous_image(plant)[0], 0.0)
@@ -609,8 +609,8 @@ def _level(
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
             guesses = (_crossing_level(seen[-count:]) for count in (3, 2, 1))
-            # If only one bound on the level is known, the last guess, which is based on one pair of values, lies beyond this
-            # bound.
+            # If only one bound on the level is known, the last guess lies beyond this bound, because this guess uses only one
+            # pair of values.
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
@@ -622,7 +622,7 @@ def _level(
 def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
     """Returns the level at which the norm is 1, by a polynomial for log level in log norm; NaN if two norms are equal.
 
-    If only one pair is known, the norm is assumed to be inversely proportional to the level.
+    If only one pair of norm and level is known, the norm is assumed to be inversely proportional to the level.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

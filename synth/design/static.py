@@ -45,8 +45,8 @@ ENOUGH_SAMPLES = 4
 FEW, MANY, MOST = 2, 6, 18
 LARGE = 30  # for a plant with more states, stabilising starts take minutes, so they are used only if no other start is stable
 ALL = 100  # upper limit on the number of starts, which is never reached
-# Each row has three entries: the number of rounds of a descent, the number of best starts that descend, and the multiple of
-# `rival` above which the search ends.
+# Each row begins with the number of rounds of a descent and the number of best starting points from which to descend. The
+# search ends if the norm exceeds `rival` multiplied by the third entry.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
 # largest number of rounds of the last descent; a large plant has fewer rounds, because its rounds take longer
 LAST_ROUNDS = 1200
@@ -59,7 +59,8 @@ BOUND_TOLERANCE = 1e-4  # the search ends if the norm exceeds the lower bound by
 # larger gain
 NEAR = 1e-3
 ZERO = 1e-9  # a norm below this multiple of the size of the plant's matrices counts as zero
-SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
+# Further descents start at the best gain multiplied by random factors. These are the standard deviations of their logarithms
+SURROUNDINGS = (0.1, 0.3, 1.0)
 AROUND = 60  # number of rounds of each descent that starts near the best gain
 # norms count as equal if they differ by less than this relative amount, because the two methods for the norm round differently
 EQUAL = 1e-9

@@ -10,7 +10,7 @@ A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 th
 with this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
 
 The frequency response Dw + C (z - A)^-1 Bw of a discrete loop is computed with twice the digits of floats. The frequency is
-given by the float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the circle, without the
+given by the float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the unit circle, without the
 rounding error of a sine. After multiplication by 1 - j t, the states x satisfy
 
     ((I - A) + j t (I + A)) x = (1 - j t) Bw.

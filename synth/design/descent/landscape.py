@@ -1,22 +1,23 @@
 """The norm as a function of the gain: the value and slope of the norm, and smooth functions that bound it from below.
 
-A gain K is a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect. N is m q, or
-the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous function of the
-gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on edges. For all
-unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for the singular
-vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This function is
-called a cut (Apkarian, Noll 2006).
+A gain K is represented by a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect.
+N is m q, or the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous
+function of the gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on
+edges. For all unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for
+the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This
+function is called a cut (Apkarian, Noll 2006).
 
 A discrete plant is represented by the continuous plant into which the bilinear transform maps it, with the same gains but other
 frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The equivalent gain
 for measurements without the force is (I - K Dyu)^-1 K.
 
-If two measurements are large and nearly equal, the norm depends strongly on the gain for their sum. The norm hardly depends on
-the gain for their difference. An example is a slowly drifting reference and the position that follows it. The same occurs if
-two forces nearly cancel in z. As a function of the gain entries, the norm then has a narrow valley. A
-change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the
-measurements uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise
-forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
+If two measurements are large and nearly equal, the norm depends strongly on the gain that acts on their sum. The norm hardly
+depends on the gain that acts on the difference of these measurements. An example is a slowly drifting reference and the
+position that follows it. A similar problem occurs if two forces nearly cancel in z. As a function of the gain entries, the norm
+then has a narrow valley. A change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley.
+These coordinates make the measurements uncorrelated and of equal size if w is white noise. These coordinates also make the
+responses of z to white-noise forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all
+directions (natural gradient).
 """
 
 import contextlib
@@ -172,7 +173,7 @@ class Landscape:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
         work: counter of the computing work that is spent on norms. Default: a counter without a limit.
-        band: lower and upper frequency [rad/s] between which gains count; all frequencies by default.
+        band: lower and upper limit of the frequencies [rad/s] at which gains count; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)
@@ -378,8 +379,8 @@ class Landscape:
 
         A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. This maximum is the eigenvalue of J =
         [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives of this
-        eigenvalue with respect to x and omega. Since omega follows the maximum, it is eliminated from the Hessian. Terms with
-        nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
+        eigenvalue with respect to x and omega. Since omega follows the maximum, omega is eliminated from the Hessian. Terms
+        with nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
         """
         loop = self.loop(x)
         n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
@@ -516,7 +517,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns a square matrix of coordinates for only the free entries. A step has the same length as in the coordinates M.
+    """Returns a square matrix of coordinates for only the free entries. Lengths of steps are the same as in the coordinates M.
 
     Raises:
         LinAlgError: M is singular.

@@ -1,4 +1,4 @@
-"""Descent on a nonsmooth function: minimises the largest of several terms, within bounds on other terms.
+"""Descent on a nonsmooth function: minimises the largest of several terms, within bounds on further terms.
 
 - `descend` is sequential quadratic programming for a minimax problem. The model for a step is the maximum of linear functions
   that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of this model. If a
@@ -6,8 +6,8 @@
   is unknown or has the wrong sign, the step length is measured in coordinates in which all directions have equal weight
   (`balanced_coordinates`).
 - While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). If this multiple exceeds the
-  Lagrange multipliers of the bounds, the sum has the same minimum as the goal has within the bounds. The sum of two maxima
-  equals the maximum of the sums of all pairs of functions, so the penalised model has the same form.
+  Lagrange multipliers of the bounds, the penalised goal has the same minimum as the goal has within the bounds. The sum of two
+  maxima equals the maximum of the sums of all pairs of functions, so the penalised model has the same form.
 - `descend_norm` applies this descent to one norm, in stages that each have their own coordinates and curvature.
 - `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013).
   BFGS is fast far from a minimum, but it stalls where the function has an edge.
@@ -123,7 +123,7 @@ Cuts = list[tuple[int, Any]]  # data from which the functions are identified, wi
 
 
 class MinimaxProblem:
-    """Minimisation of the largest of several terms, with bounds on other terms.
+    """Minimisation of the largest of several terms, with bounds on further terms.
 
     Attributes:
         goals: terms of which the largest is minimised.
@@ -215,8 +215,8 @@ def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enou
     """Minimises the norm, starting at a stable point x, subject to |x_i| <= limit_i.
 
     The descent ends if the norm is at most `enough`, or if a stage hardly lowers the norm. Every stage computes its own
-    coordinates and starts without curvature. The curvature of the previous stage belongs to other edges of the norm, and would
-    only shorten the steps.
+    coordinates, and starts without information about the curvature. The curvature of the previous stage belongs to other edges
+    of the norm, and would only shorten the steps.
 
     Returns:
         The final point, and its norm.

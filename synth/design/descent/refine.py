@@ -145,6 +145,6 @@ def worth_refining(plant: Plant, K: Array) -> float:
 
 
 def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
-    """Returns a gain that uses only independent measurements and gives the same forces, shape (m, len(kept))."""
+    """Returns a gain on only independent measurements that gives the same forces as the given gain, shape (m, len(kept))."""
     left_out = [i for i in range(len(rows)) if i not in kept]
     return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain

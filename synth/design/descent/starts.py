@@ -1,9 +1,9 @@
 """Starting gains for a search over static gains: random gains, gains from a Riccati equation, and stabilising gains.
 
 Computing the poles of a small matrix takes microseconds, but a descent takes tenths of a second. Random gains are therefore
-drawn from every decade of magnitude up to the largest allowed. Every input and every measurement also has its own random scale.
-Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade, the norm
-is computed for some of the stabilising gains.
+drawn from every decade of magnitude up to the largest allowed gain. Every input and every measurement also has its own random
+scale. Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade,
+the norm is computed for some of the stabilising gains.
 
 The state feedback u = G x that minimises the mean square of z under white noise needs all states x. With the available
 measurements, K C_y is closest to G on average if K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the state in the
@@ -198,7 +198,7 @@ def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array
     The loops are stable at this point if the largest real part is negative.
 
     Args:
-        landscapes: landscapes of the plants, all with the same points.
+        landscapes: landscapes of the plants; a point represents the same gain in all of them.
         x: point from which the descent starts, shape (N,).
         free: indices of the entries of the point that may change.
     """

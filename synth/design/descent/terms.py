@@ -18,8 +18,8 @@ class Linearisation:
     """Set of F smooth functions that bound a term from below near a point, with their values and derivatives.
 
     Attributes:
-        values: values at the point, shape (F,).
-        slopes: derivatives at the point with respect to its N entries, shape (F, N).
+        values: values of the functions at the point, shape (F,).
+        slopes: derivatives of the functions at the point with respect to its N entries, shape (F, N).
         touching: True for functions that equal a local maximum of the term at the point, shape (F,). Only these functions
             contribute to the curvature.
         cuts: data that identifies the functions; each type of term has its own format.

@@ -277,7 +277,7 @@ class _Search:
         The list is empty if measurements contain the control forces.
 
         Args:
-            best: True to include the full-order design itself.
+            best: True to include the law of `full_order_design` itself.
         """
         if np.any(self.plant.Dyu):
             return []
@@ -362,7 +362,7 @@ class _Search:
             starts: laws of this structure, possibly with fewer states, each with a name. If no loop with these laws is stable,
                 other starts are used.
             origin: name of the starting point in the result. Default: the name of the best start.
-            whole: True to run the search to its end; False for its first descents only.
+            whole: True to run the search to its end; False to run only its first descents.
             sought: number of stabilising starting points to find if none of `starts` is stable.
 
         Raises:
@@ -418,7 +418,7 @@ class _Search:
     def beyond_rounding(self, law: LinearLaw, origin: str) -> End:
         """Returns a law with its certificate.
 
-        If a pole without effect remains at 0, the poles of the law are shifted slightly to the left.
+        If a pole at 0 that has no effect remains in the loop, the poles of the law are shifted slightly to the left.
         """
         end = End(law, origin, self.certified(law))
         for shift in SHIFTS * bool(law.states and np.any(end.certificate.stability.on_axis)):

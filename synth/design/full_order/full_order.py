@@ -1,9 +1,9 @@
 """Full-order H-infinity output feedback: a law with as many states as the plant, and a norm close to the lower bound.
 
-The laws come from Riccati equations (`riccati.py`). If their norm stays above the lower bound, or rounding prevents a proof,
-descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati equations is one of
-a family of laws. If its regularisation raises the norm, another law of the family may be closer to the bound and also have
-slower poles. A controller with fewer states, even a static gain, also counts as a full-order controller.
+The laws come from Riccati equations (`riccati.py`). If the norm of these laws stays above the lower bound, or rounding prevents
+a proof, descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati equations
+is one of a family of laws. If the regularisation raises the norm of the central law, another law of the family may be closer to
+the bound and have slower poles. A controller with fewer states, even a static gain, also counts as a full-order controller.
 
 A discrete plant is mapped to a continuous plant for the design.
 """

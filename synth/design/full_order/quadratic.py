@@ -1,8 +1,8 @@
 """LQR, LQG and H2: controllers with the smallest mean square of z, for comparison with H-infinity controllers.
 
 The disturbance w is white noise of intensity one, and the root mean square of z is the H2 norm of the loop. If all states are
-measured, the controller is a gain (LQR). With noisy measurements, this gain acts on the state estimate of a Kalman filter. No
-linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+measured, the controller is a gain (LQR). With noisy measurements, the LQR gain acts on the state estimate of a Kalman filter.
+No linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
 LQG and H2 are the same problem. LQG is given a separate noise for each measurement, and H2 is given z and y of a generalised
 plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost, relative to the
@@ -10,7 +10,8 @@ plant's internal units, is then assumed, and the result contains a remark about 
 gives are used unchanged, even if they are small. Inputs and measurements are scaled to a size of one, so that the Riccati
 equations contain no small numbers. An integral that is measured without noise is not estimated, because it only acts on z.
 
-The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so it is omitted.
+The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so the effect is
+omitted.
 """
 
 from collections.abc import Sequence
@@ -299,7 +300,7 @@ def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> A
     SciPy's balancing may fail if slow modes are close to the imaginary axis.
 
     Raises:
-        LinAlgError, ValueError: there is no solution, neither with nor without balancing.
+        LinAlgError, ValueError: no solution was found, with or without balancing.
     """
     try:
         return linalg.solve_continuous_are(A, B, Q, R, s=S)

@@ -65,7 +65,7 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
         gamma: value that the norm of the closed loop must stay below.
 
     Raises:
-        InfeasibleError: no law has this norm, or rounding prevents finding it.
+        InfeasibleError: no law has a norm below gamma, or rounding prevents finding such a law.
     """
     A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, plant.Dyw.shape, gamma**2
     turn_z, from_u = _last(plant.D)  # the product turn_z' D from_u is [0; I]
@@ -96,7 +96,7 @@ def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs.
         gamma: level, which must exceed the smallest norm of a state feedback.
-        share: regularisation: every force has at least this cost, relative to the larger of the norms of D and C.
+        share: smallest cost of every force (regularisation), relative to the larger of the norms of D and C.
 
     Raises:
         InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding it.
@@ -269,8 +269,8 @@ class TradeOffPoint:
         law: control law in the units of the given plant.
         own: the same control law in the plant's internal units.
         search: search that found the law.
-        least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
-            the time that a norm takes, and the estimate rules out most points.
+        least: lower estimate of the norm, which is the largest gain at the frequencies of the poles. Computing this estimate
+            takes a tenth of the time that a norm takes, and the estimate rules out most points.
         speed_up: fastest pole of the loop, relative to the plant's speed without control.
     """
 
@@ -288,7 +288,7 @@ class TradeOffPoint:
 
     @cached_property
     def norm(self) -> float:
-        """Norm of the loop in the given units, computed by only one method."""
+        """Norm of the loop in the units of the given plant, computed by only one method."""
         own = self.search.own
         return level_set_norm(own.plant.closed(self.own))[0] / own.norm
 
@@ -399,7 +399,7 @@ class RiccatiSearch:
         return best
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for all shares of noise and cost and for several gamma, with and without their fastest poles."""
+        """Returns controllers for all shares of noise and cost and several values of gamma, also without their fastest poles."""
         points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
@@ -408,7 +408,7 @@ class RiccatiSearch:
         return points + self.slower(points, fastest)
 
     def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
-        """Returns the controllers for a share of noise and cost, for the smallest gamma and several larger gamma."""
+        """Returns the controllers for a share of noise and cost, for the smallest possible gamma and several larger values."""
         tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
         return [each for each in tried if each is not None]
 
@@ -430,7 +430,7 @@ class RiccatiSearch:
     def slower(self, points: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
         """Removes the fast poles from the laws of controllers that are too fast.
 
-        Returns the results whose loops are still stable.
+        Returns those of the resulting controllers whose loops are still stable.
         """
         left, much = list[TradeOffPoint](), min(fastest, self.much)
         for each in points:

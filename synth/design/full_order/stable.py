@@ -35,7 +35,7 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         fits: function that returns True if a law is itself stable and its loop is slow enough.
-        most: a descent continues from the best laws if a law has at most this number of entries.
+        most: largest number of entries of a law from which a descent continues.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
     # A descent cannot turn a fast law into a slow law.

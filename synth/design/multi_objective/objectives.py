@@ -48,8 +48,8 @@ class BoundedSignal:
     """Bounded signal c x + g u of a plant, without feedthrough from w.
 
     Attributes:
-        c: row vector of the states, shape (n,).
-        g: row vector of the inputs, shape (m,).
+        c: row vector that multiplies the states, shape (n,).
+        g: row vector that multiplies the inputs, shape (m,).
         at_most: largest allowed magnitude for the given energy.
         root: square root of the energy of the disturbance, which is the integral of |w|^2.
         name: description of the bound, used in messages.
@@ -88,7 +88,7 @@ class EnergyPeak(Term):
         return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
-        """Returns the value and its derivatives with respect to the entries of the gain, shape (m q,)."""
+        """Returns the value of the term, and its derivatives with respect to the entries of the gain, shape (m q,)."""
         land = self.landscape
         loop = land.loop(x)
         A, Bw = loop.A, loop.Bw

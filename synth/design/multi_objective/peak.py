@@ -35,7 +35,7 @@ class RoadPeak(Term):
 
     def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
         """Args:
-        driven: plant on its road, with the signal.
+        driven: plant, the road on which it moves, and the bounded signal.
         scale: scale of each entry of the gain, as in a landscape, shape (m, q).
         unit: largest allowed magnitude of the signal, by which values are divided.
         """
@@ -139,12 +139,12 @@ def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
     """Returns the largest magnitude of the signal y at all times after the start of the road; infinite if the loop is unstable.
 
     Between two times a step h apart, the distance of the signal from the straight line through both ends is at most h^2 / 8 max
-    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. There, the change of the signal from one
-    time to the next bounds this distance. The free motion after the road is computed until a bound shows that all later motion
-    is smaller.
+    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. Next to a kink, the change of the signal
+    from one time to the next bounds this distance. The free motion after the road is computed until a bound shows that all
+    later motion is smaller.
 
     Args:
-        driven: plant on its road, with the signal.
+        driven: plant, the road on which it moves, and the bounded signal.
         K: gain, shape (m, q).
     """
     A, c = driven.loop(K)
@@ -195,7 +195,7 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
-    """Returns the peak of the free motion after the last time step if it exceeds the known peak, and a bound on this motion."""
+    """Returns the peak of the free motion after the last time step, if it is the highest so far, and a bound on this motion."""
     z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # height of the road after its end
     rest = np.linalg.solve(A, -(A @ driven.plant.Bw + driven.Br) @ z)
     level = float(c @ rest + (c @ driven.plant.Bw + driven.f) @ z)

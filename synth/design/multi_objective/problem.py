@@ -1,4 +1,4 @@
-"""Problem of multi-objective design: norms, bounds, gain errors and a structure, and its terms for given gain errors."""
+"""Multi-objective design problem with norms, bounds, gain errors and a structure, and its terms for given gain errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -60,8 +60,8 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
     Args:
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n).
-        Dyw: direct effect of w on the measurements, shape (q, r); Default: zero.
-        through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
+        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
 
     Returns:
         A copy of the plant with these measurements.

@@ -1,10 +1,10 @@
 """Exact response of a closed loop to a road, and the largest value of a signal over this road.
 
 The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
-Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, no longer
-appears. The convolution integral over each time step is computed by a quadrature of order 16. A step with a kink is split into
-intervals that become shorter towards the kink, from both sides. Between two times, the signal is approximated by the cubic
-polynomial with the values and derivatives at both times.
+Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, does not
+appear in the new equation. The convolution integral over each time step is computed by a quadrature of order 16. A step with a
+kink is split into intervals that become shorter towards the kink, from both sides. Between two times, the signal is
+approximated by the cubic polynomial with the values and derivatives at both times.
 """
 
 from collections.abc import Callable

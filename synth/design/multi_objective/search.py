@@ -1,13 +1,13 @@
 """Search for the gain that minimises the goal and fulfils all bounds, from many starting points.
 
 - Starting points that make all loops stable are ranked. From a few of the best points, the search descends for some rounds.
-  From the best of the results, it descends until it converges.
+  From the best of the results, the search descends until it converges.
 - If the gain has no limit, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
   justifies the growth.
-- If the box of gain errors has few vertices, all of them are taken into account ("active"). Otherwise, only the worst errors
+- If the box of gain errors has few vertices, all vertices are taken into account ("active"). Otherwise, only the worst errors
   found so far are active. Only the certificate proves that no error in the box is worse.
 - At every starting point and at the end of every descent, the search looks for errors that make a loop unstable. If no decay
-  rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with errors.
+  rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with gain errors.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -100,7 +100,7 @@ class WorstCaseErrors:
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest real part of the poles that the gain can change [rad/s], over all errors tried, and its errors.
+        """Returns the largest real part of the poles that the gain can change [rad/s] for all tried errors, and the worst errors.
 
         The value is infinite if the equations of a loop have no solution. For a discrete plant, the poles of its continuous
         counterpart are used.

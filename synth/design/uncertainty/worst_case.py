@@ -412,7 +412,7 @@ def worst_norm(
         d: largest relative error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
         e: largest relative error of all forces, or of each force, shape (m,).
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
-        through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
+        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
         enough: a bound that is sufficient. If the proved bound is larger, a separate proof of this bound is tried. None if
             there is no such bound.
 
