@@ -42,7 +42,7 @@ BOTH = f"{TWO_STEPS} and {DESCENT}"
 NEAR = 1e-3  # a result of the two steps is not refined if its relative gap to the lower bound is smaller than this
 # relative gaps between a state feedback's norm and the lower bound, tried in this order
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))
-MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from a starting gain of zero
+MOST_GROWTH = 2.0**100  # growth factor that is assumed if the starting gain is zero
 # limits on the entries of a gain, tried in this order until the poles are slow enough for an actuator; as in `fixed_order.py`
 LIMITS = (np.inf, 100.0, 10.0, 3.0)
 

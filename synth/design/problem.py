@@ -36,7 +36,7 @@ SEEN = 1e-6  # smallest relative difference that is visible in a table with seve
 LARGEST_GAIN = 1e5  # largest magnitude of a gain entry K_ij if the search has no other limit
 # criteria by which designs are compared
 NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"
-TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the two design methods
+TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the two methods for static gains
 FEW = 4  # a law with more states than this is shown without its matrices
 Progress = Callable[[float, bool], None]
 

@@ -6,13 +6,13 @@ minimum:
 
 - Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
   two steps. If few random gains are stable, stabilising gains are added. From all these gains, the search descends for a few
-  rounds. The search continues from the best results for more rounds, and from the best result of all until it converges. The
-  descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that
-  all directions have a similar effect.
+  rounds. The search continues from the best results for more rounds, and from the best result of all until the descent
+  converges. The descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the
+  coordinates so that all directions have a similar effect.
 - Additional descents that start near the best gain.
 
-A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain,
-nor the norm without control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All
+A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain
+or the norm without control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All
 random gains have fixed seeds, so the same plant always gives the same gain.
 """
 
@@ -111,7 +111,7 @@ def static_output_feedback(
         Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
             the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.
-        rival: norm that another design reaches. The search ends early if the norms of its gains stay far above this norm.
+        rival: norm that another design reaches. The search ends early if the norms of the gains found stay far above this norm.
             Default: infinity, if there is no other design.
 
     Returns:
@@ -206,7 +206,7 @@ class GainSearch:
         structure: mask of the gain entries that may be nonzero, as in `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
             the limit.
-        enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
+        enough: relative gap between the norm and its lower bound below which the search ends.
         rival: norm that another design reaches, as in `static_output_feedback`.
         work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
             limit.

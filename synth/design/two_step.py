@@ -34,7 +34,8 @@ from synth.plant.generalized import Feedback, Plant, check_inputs, check_states,
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import independent, own_units, unit_rows
 
-# Largest number of unknowns of step 1 (45 states, one input). Step 2 can then be solved for several X within about a minute
+# Largest number of optimisation variables of step 1 (45 states, one input). Step 2 can then be solved for several X within
+# about a minute
 MOST = 1100
 SAME = 1e-9  # a state gain G counts as equal to K C_y if their relative difference is smaller than this
 
@@ -260,7 +261,7 @@ def two_step_design(
     Raises:
         InputError: C_y does not fit the plant, or is empty.
         InfeasibleError: no static gain from y stabilises the plant; the message describes the mode that cannot be stabilised.
-        TooLargeError: (22) has more than 1100 unknowns (45 states with one input).
+        TooLargeError: (22) has more than 1100 optimisation variables (45 states with one input).
         DesignError: (25) has no solution for any X that was tried, a central path ended early, or no certificate holds. A
             stabilising gain may still exist.
 
@@ -366,7 +367,7 @@ def state(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by the second step (25) alone, with L = 0."""
+    """Designs a static gain by only the second step (25), with L = 0."""
     return zero_l_design(problem.plant, problem.lower_bound)
 
 

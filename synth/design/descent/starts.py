@@ -37,7 +37,7 @@ from synth.plant.units import size
 
 SMALLEST = -2  # exponent of ten of the smallest random gains, in the units of the landscape
 SAMPLES = 1000  # number of random gains that are drawn in each decade of magnitude
-WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles takes no longer
+WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles does not take longer
 FEWEST = 20  # smallest number of random gains that are drawn, even for a large plant
 CLOSER = 24  # number of stabilising gains in each decade for which the norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call

@@ -238,7 +238,7 @@ WITHIN = 1e-3  # the search ends if the relative gap between norm and lower boun
 # states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
 STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the share of noise and cost that is added
-# After the first share that is sufficient, these multiples of the share are also tried
+# multiples of the first sufficient share that are also tried
 AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
 # relative amounts by which gamma may exceed the required norm, because the actual norm is often smaller than gamma
 REACHES = (0.0, 2e-3, 1e-2, 3e-2)
@@ -467,7 +467,7 @@ class RiccatiSearch:
         """Returns the trade-off point of a law in internal units; None if its loop is not stable.
 
         Raises:
-            InputError: an entry is too large for a law in the given units.
+            InputError: an entry of the law is too large in the units of the given plant.
         """
         own, back = self.own, self.own.back(law)
         system = closed_by(own.plant, law)

@@ -102,7 +102,7 @@ class MultiplierForm:
         )
 
     def at(self, T: Array) -> Array:
-        """Returns the largest eigenvalue of the form for each frequency response in T, shape (F, d + k, r + k); shape (F,)."""
+        """Returns the largest eigenvalue of the form, shape (F,), for each frequency response in T, shape (F, d + k, r + k)."""
         W, L, R = self.weights
         adjoint = T.conj().swapaxes(-1, -2)
         across = adjoint @ L

@@ -28,7 +28,7 @@ from synth.plant.state_space import StateSpace
 
 TURNS = 6
 WORTH = 2e-3  # the iteration ends if the bound decreases by less than this relative amount
-STEEP = 4  # in the fit of a filter, a frequency has the weight mu to this power
+STEEP = 4  # in the fit of a filter, the weight of a frequency is mu to this power
 
 
 def mu(problem: DesignProblem, progress: Progress) -> DesignResult:

@@ -116,7 +116,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     rows, q = slice(None, -k) if structured.performance else slice(None), M.Dw[-k:]
     if np.linalg.cond(np.eye(k) - E.D @ q[:, -k:]) > 1e12:
         return None
-    # The errors are a law from the last outputs, as measurements, to the last inputs.
+    # The errors act like a control law from the last outputs to the last inputs.
     plant = Plant(M.A, M.Bw[:, -k:], M.Bw[:, rows], M.C[rows], M.Dw[rows, -k:], M.Dw[rows, rows])
     plant = replace(plant, Cy=M.C[-k:], Dyu=q[:, -k:], Dyw=q[:, rows])
     return closed_by(plant, LinearLaw(E.A, E.B, E.C, E.D))
