@@ -200,7 +200,7 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
     """Returns the smallest size of errors along the rays for which the norm exceeds a level, and these errors.
 
-    If the norm never exceeds the level, the size is infinite, and the errors are those at the end of the ray with the largest
+    If the norm never exceeds the level, the size is infinite. The errors are then those at the end of the ray with the largest
     norm.
     """
     best, at = np.inf, None
