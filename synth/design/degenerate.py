@@ -60,10 +60,7 @@ def regularise_problem(plant: Plant) -> WellPosedProblem:
 
 
 def unpenalised_inputs(plant: Plant) -> list[str]:
-    """Returns a list with one message if some control force does not appear in z, else an empty list.
-
-    Problem (22) has no optimum if z does not contain every control force.
-    """
+    """Returns a list with one message if z lacks a control force, because (22) then has no optimum; else an empty list."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
@@ -79,8 +76,7 @@ def unpenalised_inputs(plant: Plant) -> list[str]:
 def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
     """Returns a list with a message about the slowest undamped mode that is unobservable in z.
 
-    If z does not contain an undamped mode, problem (22) has no optimum. The list is empty if every undamped mode is observable
-    in z.
+    If an undamped mode is unobservable, problem (22) has no optimum. The list is empty if all undamped modes are observable.
     """
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
@@ -107,9 +103,7 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 
 
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
-    """Checks that every mode that does not decay is observable in z.
-
-    If one of these modes is unobservable in z, the central path of problem (22) does not end at an optimum.
+    """Checks that every mode that does not decay is observable in z. Otherwise, the path of (22) does not end at an optimum.
 
     Raises:
         InfeasibleError: no control force can stabilise the plant; the message describes the mode.
@@ -123,11 +117,7 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Separates the observable states of a plant from the states that a gain can hide from z.
-
-    Returns:
-        A basis of the observable states, shape (n, k), the plant with only these states, and this gain.
-    """
+    """Returns a basis of the observable states, shape (n, k), the plant with only these, and the gain that hides the others."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]

@@ -55,9 +55,8 @@ def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
     """Returns the reason why descent must follow the two steps, as text; empty if no descent is needed.
 
     The two steps ignore noise. The gain is based on the X of problem (22). The state feedback of this problem uses every state,
-    including filter states that y does not contain and that no control changes. If the plant contains filters, descent
-    therefore continues from the result of the two steps. Descent also continues if the norm is larger than the norm without
-    control.
+    including filter states that y does not contain and that no control changes. With filters, descent therefore
+    continues from the result of the two steps. Descent also continues if the norm is larger than the norm without control.
     """
     plant, certificate = problem.plant, steps.certificate
     norm = certificate.norm.value

@@ -93,8 +93,7 @@ CLOSE = 1e-9  # a norm counts as 1 if its relative distance from 1 is smaller th
 GROW = 1.05  # factor to the next level if a level has no solution; for each further level, the factor is squared
 FAR = 1e3  # ratio of the highest level that is tried to the level at which the search starts
 ROUNDS = 60  # largest number of rounds; a search usually needs about five
-# Largest number of optimisation variables of (22) at a level (21 states, one input). Solving (22) about two dozen times takes
-# half a minute
+# Largest number of variables of (22) at a level (21 states, one input). Solving (22) about two dozen times takes half a minute
 MOST = 260
 ROUNDING = 1e-7  # the norm of a gain may exceed the level of the central path that gave the gain by this relative amount
 

@@ -59,8 +59,7 @@ BOUND_TOLERANCE = 1e-4  # the search ends if the norm exceeds the lower bound by
 # larger gain
 NEAR = 1e-3
 ZERO = 1e-9  # a norm below this multiple of the size of the plant's matrices counts as zero
-# Further descents start at the best gain multiplied by random factors. These are the standard deviations of their logarithms
-SURROUNDINGS = (0.1, 0.3, 1.0)
+SURROUNDINGS = (0.1, 0.3, 1.0)  # standard deviations of the logarithms of factors on the best gain, for further descents
 AROUND = 60  # number of rounds of each descent that starts near the best gain
 # norms count as equal if they differ by less than this relative amount, because the two methods for the norm round differently
 EQUAL = 1e-9

@@ -34,8 +34,7 @@ from synth.plant.generalized import Feedback, Plant, check_inputs, check_states,
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import independent, own_units, unit_rows
 
-# Largest number of optimisation variables of step 1 (45 states, one input). Step 2 can then be solved for several X within
-# about a minute
+# Largest number of variables in the LMI of step 1 (45 states, one input). Step 2 can then be solved for several X in a minute
 MOST = 1100
 SAME = 1e-9  # a state gain G counts as equal to K C_y if their relative difference is smaller than this
 

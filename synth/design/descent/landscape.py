@@ -12,12 +12,11 @@ frequencies. The measurements of the continuous plant contain the force, as an a
 for measurements without the force is (I - K Dyu)^-1 K.
 
 If two measurements are large and nearly equal, the norm depends strongly on the gain that acts on their sum. The norm hardly
-depends on the gain that acts on the difference of these measurements. An example is a slowly drifting reference and the
-position that follows it. A similar problem occurs if two forces nearly cancel in z. As a function of the gain entries, the norm
-then has a narrow valley. A change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley.
-These coordinates make the measurements uncorrelated and of equal size if w is white noise. These coordinates also make the
-responses of z to white-noise forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all
-directions (natural gradient).
+depends on the gain that acts on their difference. An example is a slowly drifting reference and the position that follows it. A
+similar problem occurs if two forces nearly cancel in z. As a function of the gain entries, the norm then has a narrow valley. A
+change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the
+measurements uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise
+forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
 """
 
 import contextlib

@@ -30,8 +30,7 @@ class Refinement:
         gain: gain matrix K, shape (m, q).
         before: norm before the refinement.
         after: norm after the refinement.
-        growth: largest gain entry after the refinement, divided by the largest gain entry before, in internal units of the
-            loop.
+        growth: largest gain entry after the refinement, divided by the largest entry before, in internal units of the loop.
         refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if no stage
             was undone, or if the undone stage did not lower gamma.
         what: name of the norm that is lowered.

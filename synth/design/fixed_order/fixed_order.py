@@ -104,8 +104,7 @@ def fixed_order_design(
             returned. The default limit is about 14 s of processor time for a plant with 8 states.
 
     Returns:
-        The law with its certificate, and the name of the starting point from which the law was found. The law may have fewer
-        states than the structure allows.
+        The law with its certificate, and the name of its starting point. The law may have fewer states than the structure allows.
 
     Raises:
         InputError: a matrix does not fit the plant, or the law would have more states than the plant.

@@ -29,8 +29,7 @@ class StructuredGain:
         plant: plant with n + k states, and the measurements on which the gain acts.
         free: True for entries of the gain that may be nonzero, shape (m + k, q + k); if there are filters, the shape is (m,
             number of filter outputs).
-        filters: filters of the measurements, if the gain acts on the outputs of these filters; None if the gain is [D, C; B,
-            A].
+        filters: filters of the measurements, if the gain acts on their outputs; None if the gain is [D, C; B, A].
         shape: shape of the law's D, (m, q).
     """
 

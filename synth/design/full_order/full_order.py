@@ -130,8 +130,7 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         fastest: largest allowed magnitude of a pole, relative to the plant's own speed.
-        rival: norm of the law with which the gains are compared, in the units of the plant. The search ends early if the norm
-            of a gain is far above this norm.
+        rival: norm of another law, in the units of the plant. The search ends early if the norm of a gain is far above it.
     """
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant):

@@ -10,8 +10,7 @@ plant's internal units, is then assumed, and the result contains a remark about 
 gives are used unchanged, even if they are small. Inputs and measurements are scaled to a size of one, so that the Riccati
 equations contain no small numbers. An integral that is measured without noise is not estimated, because it only acts on z.
 
-The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so the effect is
-omitted.
+The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so it is omitted.
 """
 
 from collections.abc import Sequence

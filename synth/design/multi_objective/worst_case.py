@@ -102,8 +102,7 @@ class WorstCaseErrors:
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
         """Returns the largest real part of the poles that the gain can change [rad/s] for all tried errors, and the worst errors.
 
-        The value is infinite if the equations of a loop have no solution. For a discrete plant, the poles of its continuous
-        counterpart are used.
+        The value is infinite if a loop is ill-posed. For a discrete plant, the poles of its continuous counterpart are used.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
         if count > CORNERS:

@@ -200,8 +200,7 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
     """Returns the smallest size of errors along the rays for which the norm exceeds a level, and these errors.
 
-    If the norm never exceeds the level, the size is infinite. The errors are then those at the end of the ray with the largest
-    norm.
+    If the norm never exceeds the level, the size is infinite. The errors are then the end of the ray with the largest norm.
     """
     best, at = np.inf, None
     for ray in rays:
@@ -231,8 +230,7 @@ def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, l
 
 
 NOTHING = 1e-12  # a gain error smaller than this counts as zero
-# two norms count as equal if they differ by less than this relative amount, because the two methods for a norm may differ by as
-# much
+# two norms count as equal if they differ by less than this relative amount, as the two methods for a norm differ by as much
 SAME = 1e-9
 
 

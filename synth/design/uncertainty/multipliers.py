@@ -211,8 +211,7 @@ def bound_in_band(
     A bound for only some frequencies does not imply stability.
 
     Args:
-        gain: loops with factors on measurements and forces, in continuous time. The loop at the middle of the box must be
-            stable.
+        gain: loops with factors on measurements and forces, in continuous time; stable at the middle of the box.
         low, high: lower and upper end of the band [rad/s]; `high` may be infinite.
         first: first bound to try, just above the largest norm found.
         tries: number of bounds that are tried.
