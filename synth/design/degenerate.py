@@ -1,12 +1,12 @@
-"""Regularised problems for plants for which problem (22) is degenerate: it has no optimum, or every gain is optimal.
+"""Regularised problems for plants whose problem (22) of the paper is degenerate: no gain, or every gain, is optimal.
 
 - **w does not affect z**, or some gain decouples z from w. The norm is then 0, and eta = norm^-2 has no upper bound. In the
   regularised problem, additional disturbances act on every state that z contains.
-- **No control force affects z**. The norm is then the same for all gains. In the regularised problem, additional disturbances
-    act on every state, and z also contains every state and every force.
+- **No control force affects z**. All gains then give the same norm. In the regularised problem, additional disturbances act on
+  every state, and z also contains every state and every force.
 
-The gain is then certified for the given plant: an X that proves a bound with additional disturbances and outputs also proves it
-without them. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
+The gain is then certified for the given plant: a matrix X that proves a bound with the additional disturbances and outputs also
+proves this bound without them. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ def regularise_problem(plant: Plant) -> WellPosedProblem:
 
 
 def unpenalised_inputs(plant: Plant) -> list[str]:
-    """Returns a message if some control force does not appear in z, because (22) then has no optimum; else an empty list."""
+    """Returns a list with one message if z lacks a control force, because (22) then has no optimum; else an empty list."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
@@ -74,9 +74,9 @@ def unpenalised_inputs(plant: Plant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """If undamped modes are unobservable in z, returns a message about the slowest one, because (22) then has no optimum.
+    """Returns a list with a message about the slowest undamped mode that is unobservable in z.
 
-    The list is empty if there is no such mode.
+    If an undamped mode is unobservable, problem (22) has no optimum. The list is empty if all undamped modes are observable.
     """
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
@@ -103,7 +103,7 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
 
 
 def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
-    """Checks that every mode that does not decay is observable in z. Otherwise, the central path of (22) has no end.
+    """Checks that every mode that does not decay is observable in z. Otherwise, the path of (22) does not end at an optimum.
 
     Raises:
         InfeasibleError: no control force can stabilise the plant; the message describes the mode.
@@ -117,7 +117,7 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns a basis of the observable states, shape (n, k), their plant, and the gain that hides other states from z."""
+    """Returns a basis of the observable states, shape (n, k), the plant with only these, and the gain that hides the others."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -140,7 +140,7 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 
 
 def _with_disturbances(plant: Plant, where: Array) -> Plant:
-    """Returns the plant with an additional disturbance for each column of `where`; the column is its effect on the states."""
+    """Returns the plant with additional disturbances; each column of `where` is the effect of one disturbance on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 

@@ -1,10 +1,10 @@
 """Static gains by descent on the norm: as a fallback if the two-step method fails, and as a refinement of its result.
 
 The two steps can fail in several ways: a central path ends early, the gain grows without limit, or a problem is too large.
-Problem (25) may also have no solution for any X that is tried. A stabilising gain may still exist, and the search in
-`static.py` does not need a central path. Reasons why no gain can exist are checked and reported first. Such reasons are a mode
-that no force affects or no measurement contains, and poles that no gain can change. If filters or noise keep the two steps far
-above the lower bound, descent continues from their result.
+Problem (25) of the paper may also have no solution for any of the matrices X that are tried. A stabilising gain may still
+exist, and the search in `static.py` does not need a central path. Reasons why no gain can exist are checked and reported first.
+Such reasons are a mode that no force affects or no measurement contains, and poles that no gain can change. If weighting
+filters or noise keep the norm of the two-step method far above the lower bound, descent continues from its gain.
 """
 
 import contextlib
@@ -42,13 +42,13 @@ BOTH = f"{TWO_STEPS} and {DESCENT}"
 NEAR = 1e-3  # a result of the two steps is not refined if its relative gap to the lower bound is smaller than this
 # relative gaps between a state feedback's norm and the lower bound, tried in this order
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))
-MOST_GROWTH = 2.0**100  # growth that is assumed if a gain grows from a starting gain of zero
+MOST_GROWTH = 2.0**100  # growth factor that is assumed if the starting gain is zero
 # limits on the entries of a gain, tried in this order until the poles are slow enough for an actuator; as in `fixed_order.py`
 LIMITS = (np.inf, 100.0, 10.0, 3.0)
 
 
 def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by descent on the norm if the two steps find no gain, or no good enough gain.
+    """Designs a static gain by descent on the norm if the two-step method finds no gain, or no gain that is good enough.
 
     Raises:
         DesignError: no gain with a valid certificate was found; the message gives the reason. Rounding may leave a certificate
@@ -90,7 +90,7 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     The gain may double for each 0.1 % by which the norm decreases. If all states are measured without noise, a Riccati equation
     gives another gain. The norm of this gain is as close to the bound as `largest_gain` allows or, without `largest_gain`, as
     the speed of actuators allows. If the result is still more than 1 % above the bound, descents also start from other gains.
-    The gain with the lower norm is returned, unless its poles are too fast for an actuator.
+    The gain with the lowest norm is returned, unless its poles are too fast for an actuator.
     """
     from synth.design.static import bounded_work
 
@@ -113,7 +113,7 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
-    """Returns a design with a lower norm or None, the growth of the gain, the starting gain of the descent, and a remark.
+    """Returns a design with a lower norm, or None, the growth factor of its gain, the method that found it, and a remark.
 
     The descents start from the gain of the two steps and, if all states are measured, from the gain of a Riccati equation. Each
     descent ends in a local minimum. If this minimum is far above the lower bound, the search continues for other minima.
@@ -158,7 +158,7 @@ def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -
 
 
 def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: float) -> tuple[list[Array], str]:
-    """Returns the slow enough gain with the lowest norm from Riccati equations, and the reason why no lower norm was found.
+    """Returns the gain of a Riccati equation with the lowest norm and slow enough poles, and why no lower norm was found.
 
     If a largest gain is given, poles that are too fast for an actuator are accepted. The list of gains is empty unless all
     states are measured.
@@ -181,7 +181,7 @@ def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: floa
 
 
 def _known_gain(plant: Plant, two_steps: DesignResult | str, lower_bound: "LowerBound | None") -> tuple[DesignResult, str] | None:
-    """Returns a certified gain that is known without a descent, and how it is known; None if no gain is known."""
+    """Returns a certified gain that needs no descent, and a text about its origin; None if there is no such gain."""
     from synth.analysis.bounding import certify_law
 
     nothing = static_law(np.zeros((plant.B.shape[1], len(plant.Cy))))

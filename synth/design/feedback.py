@@ -1,6 +1,6 @@
 """Design of a controller for any plant. The arguments are the keys of a controller's section in a vehicle file.
 
-The arguments are checked first; `models/laws/combinations.py` lists which of them can be combined. The result is a
+The arguments are checked first; `models/laws/combinations.py` lists which arguments can be combined. The result is a
 `DesignProblem`, for which `synth.design.methods` chooses the design method. Every method has its own file and can also be
 called directly.
 """
@@ -78,18 +78,18 @@ def design_feedback(
         stable: True if the law itself must be stable; only for a law with an `order`.
         fastest_pole: largest magnitude of the closed-loop poles [rad/s], for order = "full" of a continuous plant; None for no
             limit.
-        noise: rms noise of each measurement, shape (q,). For the H-infinity norm, the noise is this rms times an additional
-            disturbance. For LQG, it is white noise; see `lqg_design`.
+        noise: rms noise of each measurement, shape (q,). In an H-infinity design, the noise is an additional disturbance
+            multiplied by this rms. For LQG, it is white noise; see `lqg_design`.
         sample_period: sample period of the computer that closes the loop of a continuous plant and holds the forces [s].
         delay: delay from a measurement to the force computed from it [sample periods].
         minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
         bounds: bounds on other quantities, for example [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: relative gain errors of measurements and forces that the design must tolerate, for example {"y1": 0.1,
             "force": 0.05}.
-        family: additional plants with the same gain. The largest norm of all plants is minimised. A plant without its own
-            measurements has the measurements Cy.
+        family: additional plants for which the same gain is designed. The largest norm of all plants is minimised. If a plant
+            has no measurements of its own, Cy defines its measurements.
         structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. If `order` is a
-            number of states, each force has its own law with this number of states. The text "pi" or "pid" selects this type of
+            number of states, each force has its own law with this number of states. The text "pi" or "pid" selects a PI or PID
             law from each measurement to its force.
         pid: time constant [s] of the low-pass filter on the derivative of a "pid" law, for example {"filter": 0.01}.
         largest_gain: largest |K_ij| allowed for a static gain with the smallest norm, in the units of the plant. Default: 1e5.

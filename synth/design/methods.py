@@ -52,10 +52,10 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
-    """Returns the reason why descent follows the two steps, as text; empty if it need not follow.
+    """Returns the reason why descent must follow the two steps, as text; empty if no descent is needed.
 
     The two steps ignore noise. The gain is based on the X of problem (22). The state feedback of this problem uses every state,
-    including filter states that y does not contain and that no control changes. If there are filters, descent therefore
+    including filter states that y does not contain and that no control changes. With filters, descent therefore
     continues from the result of the two steps. Descent also continues if the norm is larger than the norm without control.
     """
     plant, certificate = problem.plant, steps.certificate
@@ -111,7 +111,7 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
 
 
 def _possible(problem: DesignProblem) -> DesignProblem:
-    """Returns the problem of a static gain with a lower bound, which is computed unless the plant has too many states.
+    """Returns the design problem of a static gain, to which a lower bound is added unless the plant has too many states.
 
     Raises:
         InfeasibleError: no static gain stabilises the plant; the message describes the mode that cannot be stabilised.

@@ -1,4 +1,4 @@
-"""The design problem of any plant, and its result.
+"""Data classes for the design problem of any plant and for the result of a design.
 
 Every method of `synth.design.methods` receives a `DesignProblem` and returns a `DesignResult`.
 """
@@ -36,7 +36,7 @@ SEEN = 1e-6  # smallest relative difference that is visible in a table with seve
 LARGEST_GAIN = 1e5  # largest magnitude of a gain entry K_ij if the search has no other limit
 # criteria by which designs are compared
 NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"
-TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the two design methods
+TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # names of the two methods for static gains
 FEW = 4  # a law with more states than this is shown without its matrices
 Progress = Callable[[float, bool], None]
 
@@ -55,7 +55,7 @@ class WellPosedProblem:
     """Problem (22) of a plant, regularised if it is degenerate.
 
     Attributes:
-        plant: plant for which the design is made: the given plant, unless its problem is degenerate.
+        plant: plant for which the design is made, which is the given plant unless its problem is degenerate.
         case: description of the degeneracy of the given problem; empty if the problem is not degenerate.
         best: state gain that is known to be optimal, shape (m, n); None if no such gain is known.
         best_case: description of the degeneracy that makes `best` optimal.
@@ -99,9 +99,9 @@ class DesignProblem:
         near: estimate of the norm of the sampled-data loop, from which the search for this norm starts.
         goals: norm to minimise and bounds to fulfil in the design of a static gain; None for a design without goals.
         errors: plant with frequency-weighted uncertainties, for a design of robust performance; None for other designs.
-        alternatives: True to compute a lower bound for a static gain, and to continue if the two steps end above this bound.
-            Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that the result of
-            the two steps is not changed.
+        alternatives: True to compute a lower bound for a static gain, and to continue the design if the two steps end above
+            this bound. Another method is then also used if Riccati equations fail. For a vehicle file, this is False, so that
+            the result of the two steps is not changed.
         thorough: True to compute the lower bound of a sampled-data loop, and to report what is not proved for a family of
             plants.
         lower_bound: lower bound on the norm of every controller from these measurements, if known.
@@ -110,7 +110,7 @@ class DesignProblem:
         as_run: function that converts a designed law to the law that is executed, for example to a law that subtracts forces
             from its measurements.
         certify: function that returns the certificate of a law in the form in which it is executed. Default: the certificate of
-            its loop with the plant.
+            the closed loop of this law and the plant.
         work: counter of the computing work of all searches. Default: each search has its own counter.
         start: result of the previous method, from which the next method continues; None for the first method.
         failure: error that the previous method raised, if it found no controller.
@@ -144,7 +144,7 @@ class DesignProblem:
     failure: Exception | None = None
 
     def starting(self, start: "DesignResult") -> "DesignProblem":
-        """Returns the same problem, with the result from which the next method continues."""
+        """Returns this problem with the result from which the next method continues."""
         return replace(self, start=start)
 
     def certified(self, law: LinearLaw) -> Certificate:

@@ -1,10 +1,10 @@
 """Designs for the sampled-data loop, which apply the methods for ideal loops to a discrete plant.
 
-For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). The states
-of this plant include the delayed forces, and the disturbances include the measurement noise. A law for this plant therefore
-takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method
-designs a law at one level. The exact norm of the sampled-data loop with this law (`synth/analysis/sampled_norm.py`) becomes the
-next level.
+For every value of the L2 gain of the sampled-data loop, called a level, there is a discrete plant
+(`synth/analysis/sampled_loop.py`). The states of this plant include the delayed forces, and the disturbances include the
+measurement noise. A law for this plant therefore takes into account the delay, the hold and the motion between samples.
+`by_levels` searches for the lowest level. A method designs a law at one level. The exact norm of the sampled-data loop with
+this law (`synth/analysis/sampled_norm.py`) becomes the next level.
 
 - Full order: Riccati equations. The first level is the lowest level at which these equations have a solution; bisection finds it.
 - A given order or structure: descent. The first level is near the lower bound. At each later level, descent starts from the
@@ -93,7 +93,7 @@ CLOSE = 1e-9  # a norm counts as 1 if its relative distance from 1 is smaller th
 GROW = 1.05  # factor to the next level if a level has no solution; for each further level, the factor is squared
 FAR = 1e3  # ratio of the highest level that is tried to the level at which the search starts
 ROUNDS = 60  # largest number of rounds; a search usually needs about five
-# Largest number of unknowns of (22) at a level (21 states, one input). Solving (22) about two dozen times takes half a minute
+# Largest number of variables of (22) at a level (21 states, one input). Solving (22) about two dozen times takes half a minute
 MOST = 260
 ROUNDING = 1e-7  # the norm of a gain may exceed the level of the central path that gave the gain by this relative amount
 
@@ -132,8 +132,8 @@ def by_levels(
         level: first level. Each later level is the norm that the law of the previous level reaches.
         method: function that designs a law for the plant of a level, starting from the best law so far. The function returns
             the law and remarks.
-        ended: function of a norm, its level, and the lowest earlier norm. The function returns True if another level would
-            bring no improvement.
+        ended: function of the norm that a law reaches, the level of its design, and the lowest earlier norm. The function
+            returns True if another level would bring no improvement.
         best: a law that is already known, if any.
         levels: largest number of levels.
         higher: factor by which the level is multiplied if no law was found.
@@ -234,7 +234,7 @@ def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Pl
 
 
 def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
-    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the closest law found."""
+    """Returns a full-order law with a norm within 0.1 % of the lower bound or, with a remark, the law with the closest norm."""
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
@@ -292,7 +292,7 @@ def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[
 
 
 def _solvable(plant: Plant | None) -> bool:
-    """Returns True if Riccati equations give a law for which the norm of a level's discrete plant is below one."""
+    """Returns True if Riccati equations give a law with which the discrete plant of a level has a norm below one."""
     if plant is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             search = RiccatiSearch(continuous_image(plant)[0], 0.0)
@@ -352,7 +352,7 @@ def lowest(ends: Sequence[End]) -> End:
 
 
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
-    """Descends from a stabilising K, as `refine` does, on the plants of decreasing levels, until the limit of the work."""
+    """Descends from a stabilising K, as `refine` does, on the plants of decreasing levels, until `work` reaches its limit."""
 
     def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
         return static_law(lower_norm(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
@@ -366,7 +366,7 @@ def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, 
 
     Args:
         known: gains from which descents start, shapes (m, q). The line through zero and the first gain is searched.
-        near: estimate of the norm, from which its computation starts.
+        near: estimate of the norm, from which the computation of the norm starts.
         work: counter of the computing work of the search.
     """
     nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
@@ -414,7 +414,7 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     Args:
         held: sampled-data problem.
         K: gain on all measurements, shape (m, q).
-        near: estimate of the norm, from which its computation starts.
+        near: estimate of the norm, from which the computation of the norm starts.
 
     Raises:
         DesignError: the loop with K is not stable, or the norm is determined by the motion within one period, in which no force
@@ -491,7 +491,7 @@ def _gain(
 
 
 def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
-    """Returns True if a norm is close to the part of the gain that no control force can change."""
+    """Returns True if a norm is close to the part of the L2 gain that no control force can change."""
     plant = held.at(norm * (1 - WORTHWHILE_GAIN))
     return plant is None or bound_beyond_control(plant).gamma >= 1
 
@@ -571,7 +571,7 @@ def _level(
     """Returns the level for which the central path of the discrete plant ends at a norm of 1, and this path.
 
     If the path ends below 1 at every level above the largest gain within one period, this gain is the level. If a problem has
-    no solution at a level far above the norm, it has none at lower levels.
+    no solution at a level far above the norm, it has no solution at lower levels either.
     """
     below, above, level, grow = 0.0, math.inf, start, GROW
     seen = list[tuple[float, float]]()
@@ -609,8 +609,8 @@ def _level(
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
             guesses = (_crossing_level(seen[-count:]) for count in (3, 2, 1))
-            # If only one bound on the level is known, the last guess, which is based on one pair of values, lies beyond this
-            # bound.
+            # If only one bound on the level is known, the last guess lies beyond this bound, because this guess uses only one
+            # pair of values.
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
@@ -620,9 +620,9 @@ def _level(
 
 
 def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
-    """Returns the level at which the norm is 1, from a polynomial for log level in terms of log norm; NaN without a slope.
+    """Returns the level at which the norm is 1, by a polynomial for log level in log norm; NaN if two norms are equal.
 
-    If only one pair is known, the norm is assumed to be inversely proportional to the level.
+    If only one pair of norm and level is known, the norm is assumed to be inversely proportional to the level.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

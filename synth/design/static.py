@@ -6,13 +6,13 @@ minimum:
 
 - Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
   two steps. If few random gains are stable, stabilising gains are added. From all these gains, the search descends for a few
-  rounds. The search continues from the best results for more rounds, and from the best result of all until it converges. The
-  descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the coordinates so that
-  all directions have a similar effect.
+  rounds. The search continues from the best results for more rounds, and from the best result of all until the descent
+  converges. The descent (`descent/minimax.py`) handles the edges of the nonsmooth norm, uses its curvature, and scales the
+  coordinates so that all directions have a similar effect.
 - Additional descents that start near the best gain.
 
-A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain,
-nor the norm without control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All
+A result is never replaced by a worse result. The final norm is therefore not larger than the norm of the refined two-step gain
+or the norm without control. If several multiples of a gain have the same norm, the search returns the smallest multiple. All
 random gains have fixed seeds, so the same plant always gives the same gain.
 """
 
@@ -45,8 +45,8 @@ ENOUGH_SAMPLES = 4
 FEW, MANY, MOST = 2, 6, 18
 LARGE = 30  # for a plant with more states, stabilising starts take minutes, so they are used only if no other start is stable
 ALL = 100  # upper limit on the number of starts, which is never reached
-# Each row has three entries: the number of rounds of a descent, the number of best starts that descend, and the multiple of
-# `rival` above which the search ends.
+# Each row begins with the number of rounds of a descent and the number of best starting points from which to descend. The
+# search ends if the norm exceeds `rival` multiplied by the third entry.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
 # largest number of rounds of the last descent; a large plant has fewer rounds, because its rounds take longer
 LAST_ROUNDS = 1200
@@ -59,7 +59,7 @@ BOUND_TOLERANCE = 1e-4  # the search ends if the norm exceeds the lower bound by
 # larger gain
 NEAR = 1e-3
 ZERO = 1e-9  # a norm below this multiple of the size of the plant's matrices counts as zero
-SURROUNDINGS = (0.1, 0.3, 1.0)  # distances from the best gain at which further descents start, in logarithms of the gain
+SURROUNDINGS = (0.1, 0.3, 1.0)  # standard deviations of the logarithms of factors on the best gain, for further descents
 AROUND = 60  # number of rounds of each descent that starts near the best gain
 # norms count as equal if they differ by less than this relative amount, because the two methods for the norm round differently
 EQUAL = 1e-9
@@ -110,7 +110,7 @@ def static_output_feedback(
         Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). Default: zero if Cy is given, otherwise
             the Dyw of the plant. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting
             points.
-        rival: norm that another design reaches. The search ends early if the norms of its gains stay far above this norm.
+        rival: norm that another design reaches. The search ends early if the norms of the gains found stay far above this norm.
             Default: infinity, if there is no other design.
 
     Returns:
@@ -205,7 +205,7 @@ class GainSearch:
         structure: mask of the gain entries that may be nonzero, as in `Landscape`.
         alike: function that returns an equivalent point with the same closed loop. The entries of this point are compared with
             the limit.
-        enough: the search ends if the relative gap between the norm and its lower bound is smaller than this.
+        enough: relative gap between the norm and its lower bound below which the search ends.
         rival: norm that another design reaches, as in `static_output_feedback`.
         work: counter of the computing work of the search. A descent ends if the limit of this counter is exceeded. Default: no
             limit.
@@ -230,7 +230,7 @@ class GainSearch:
     def starts(self, most: int = MOST) -> list[Candidate]:
         """Returns stable starting points with gains of many magnitudes.
 
-        If there are none, the result comes from a limited number of stabilising starts.
+        If no stable point is found, more stabilising starts are tried, up to `most`.
         """
         sampled = survey(self.landscape, self.limit)
         candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")

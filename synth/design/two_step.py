@@ -8,9 +8,9 @@ also fulfil Y X^-1 = K C_y (8), which is not a convex condition. Step 2 therefor
 the form (12). The optimum of each step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a
 solver nor on units.
 
-The functions above `well_posed` implement the formulas of the paper. The functions below it choose independent measurements and
-units. If step 2 has no solution for the optimal X of step 1, they use the X of an earlier point on the central path.
-`synth.design.degenerate` treats plants whose problem (22) has no optimum.
+The functions above `well_posed` implement the formulas of the paper. The functions below `well_posed` choose independent
+measurements and units. If step 2 has no solution for the optimal X of step 1, these functions use the X of an earlier point on
+the central path. `synth.design.degenerate` treats plants whose problem (22) has no optimum.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ from synth.plant.generalized import Feedback, Plant, check_inputs, check_states,
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import independent, own_units, unit_rows
 
-# Largest number of unknowns of step 1 (45 states, one input). Step 2 can then be solved for several X within about a minute
+# Largest number of variables in the LMI of step 1 (45 states, one input). Step 2 can then be solved for several X in a minute
 MOST = 1100
 SAME = 1e-9  # a state gain G counts as equal to K C_y if their relative difference is smaller than this
 
@@ -182,7 +182,7 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: K
         lower_bound: lower bound on the norm of every state feedback; the certificate contains it.
 
     Raises:
-        InfeasibleError, DesignError: an error of `state_path` occurs, or no certificate holds.
+        InfeasibleError, DesignError: `state_path` raises this error, or no certificate holds.
     """
     problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
@@ -260,7 +260,7 @@ def two_step_design(
     Raises:
         InputError: C_y does not fit the plant, or is empty.
         InfeasibleError: no static gain from y stabilises the plant; the message describes the mode that cannot be stabilised.
-        TooLargeError: (22) has more than 1100 unknowns (45 states with one input).
+        TooLargeError: (22) has more than 1100 optimisation variables (45 states with one input).
         DesignError: (25) has no solution for any X that was tried, a central path ended early, or no certificate holds. A
             stabilising gain may still exist.
 
@@ -333,7 +333,7 @@ def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
 
 
 def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
-    """Returns the plant without measurement noise, the same plant with only independent rows of C_y, and their indices."""
+    """Returns the plant without measurement noise, the same plant with only independent rows of C_y, and the row indices."""
     check_inputs(plant)
     plant = plant.measured(plant.Cy)
     kept = independent_rows(plant)
@@ -366,7 +366,7 @@ def state(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 
 def zero_l(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain by the second step (25) alone, with L = 0."""
+    """Designs a static gain by only the second step (25), with L = 0."""
     return zero_l_design(problem.plant, problem.lower_bound)
 
 

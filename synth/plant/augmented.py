@@ -85,10 +85,10 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Returns two systems in series: the outputs of the first are the inputs of the second.
+    """Returns two systems in series: the outputs of the first system are the inputs of the second system.
 
     Raises:
-        InputError: the number of outputs of the first differs from the number of inputs of the second.
+        InputError: the number of outputs of the first system differs from the number of inputs of the second system.
     """
     if len(first.C) != second.B.shape[1]:
         raise InputError(

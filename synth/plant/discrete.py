@@ -1,17 +1,17 @@
 """Discrete plants: the bilinear map to a continuous plant with the same norms, and accurate frequency responses.
 
-Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and its inside to the left half plane. A
-discrete loop and its continuous image therefore have the same stability and norm. A loop and its image also have the same X of
-the bounded-real LMI (20), up to a factor dt. The measurements of the image contain inputs and disturbances, y = C_y x + Dyw w +
-Dyu u. The gain stays the same, but for the image it acts in an algebraic loop.
+Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and the inside of this circle to the
+left half plane. A discrete loop and its continuous image therefore have the same stability and norm. A loop and its image also
+have the same X of the bounded-real LMI (20), up to a factor dt. The measurements of the image contain inputs and disturbances,
+y = C_y x + Dyw w + Dyu u. The gain stays the same, but it closes an algebraic loop around the image.
 
-A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 that moves it is applied first. The plant with
-this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
+A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 that moves the pole is applied first. The plant
+with this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
 
-The frequency response Dw + C (z - A)^-1 Bw of a discrete loop is computed with twice the digits. The frequency is given by the
-float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the circle, without the rounding error of a
-sine. After multiplication by 1 - j t, the equation is ((I - A) + j t (I + A)) x = (1 - j t) Bw. For t > 1, the equation is
-divided by j t.
+The frequency response Dw + C (z - A)^-1 Bw of a discrete loop is computed with twice the digits of floats. The frequency is
+given by the float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the unit circle, without the
+rounding error of a sine. Multiplied by 1 - j t, the equation for the states x is ((I - A) + j t (I + A)) x = (1 - j t) Bw. For
+t > 1, this equation is divided by j t.
 """
 
 from dataclasses import replace
@@ -101,8 +101,8 @@ def _away_from_minus_one(plant: Plant) -> Array:
     """Returns a gain K0 with which no pole is near z = -1, shape (m, q). K0 is zero if the plant has no such pole.
 
     K0 does not depend on the units of states, inputs or measurements. There is one exception: if a pole is almost exactly at
-    the limit LEAST_SINGULAR_VALUE, the result depends on the powers of two that balancing chooses. In coordinates that mix the
-    states, K0 may differ.
+    the limit LEAST_SINGULAR_VALUE, the result depends on the powers of two that balancing chooses. If the plant is given in
+    coordinates that mix the states, K0 may differ.
     """
 
     def lost(K: Array) -> float:

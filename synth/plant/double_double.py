@@ -50,7 +50,7 @@ def _halves(a: Array) -> tuple[Array, Array]:
 
 
 def solve_closely(high: Array, low: Array, right: Array, C: Array, C_low: Array) -> tuple[Array, Array]:
-    """Returns (C + C_low) (x + j y) with twice the digits, where (high + low) [x; y] = right, and an estimate of its error.
+    """Returns (C + C_low) (x + j y) with twice the digits, where (high + low) [x; y] = right, and an error estimate.
 
     The residual of the equations is computed with twice the digits, and the solution is corrected until it converges. Source:
     Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if the equations are so

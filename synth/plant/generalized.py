@@ -1,6 +1,6 @@
 """Generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w.
 
-In the equations of a discrete plant, x[k+1] replaces x', where the sample period is dt seconds.
+In the equations of a discrete plant with sample period dt [s], x[k+1] replaces x'.
 """
 
 import warnings
@@ -203,7 +203,7 @@ class Plant:
 
     @property
     def without_weighting(self) -> "Plant":
-        """Plant without its weighting filters, whose states are the last ones.
+        """Plant without its weighting filters, whose states are the last states of the plant.
 
         A gain affects only the stability of this part.
         """
@@ -273,7 +273,7 @@ class Plant:
     def with_law(self, law: LinearLaw) -> "tuple[Plant, Feedback]":
         """Returns the plant with the states of a law on y, and the law as a static gain on the states of this plant.
 
-        If w is part of y, it acts on the larger plant through the law.
+        If y contains w, then w also acts on the larger plant through the law.
 
         Raises:
             InputError: the algebraic loop through the measurements has no solution.
@@ -342,7 +342,7 @@ class Plant:
         return replace(self, A=high[:n], C=high[n:], Cy=Cy, beyond=beyond, weights=0)
 
     def in_coordinates(self, T: Array) -> "Plant":
-        """Returns the same plant with the new state T^-1 x, for a regular matrix T of shape (n, n)."""
+        """Returns the same plant with the new state T^-1 x, for an invertible matrix T of shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
         return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
@@ -352,7 +352,7 @@ class Plant:
         return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
-        """Returns an orthonormal basis W of the input combinations that have an effect, shape (m, k); I if all of them do."""
+        """Returns an orthonormal basis W, shape (m, k), of the input combinations that have an effect; I if k = m."""
         m = self.B.shape[1]
         sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
         together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
@@ -439,7 +439,7 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 def check_states(n: int) -> None:
     """Raises an InputError if a plant has no state.
 
-    This check is only for plants of the user; a part of a plant may be without states.
+    This check is only for plants that the user gives, because a part of a plant may have no states.
     """
     if not n:
         raise InputError("A has shape (0, 0), a plant without states; give at least one")
@@ -472,7 +472,7 @@ def check_posed(plant: Plant) -> None:
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:
-    """Returns a gain on some of q measurements as a gain on all q measurements, with zeros for the others, shape (m, q)."""
+    """Returns a gain on some of q measurements as a gain, shape (m, q), on all of them; the additional entries are zero."""
     whole = np.zeros((len(gain), q))
     whole[:, kept] = gain
     return whole

@@ -341,8 +341,8 @@ def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Arr
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
     """Returns the complex amplitudes of outputs of the plant for sinusoidal inputs, shape (F, p, c).
 
-    If the sample period has several steps, held forces cause additional frequencies. The result is then the part at the
-    frequency of the input.
+    If the sample period has several steps, held forces cause additional frequencies. The result then contains only the part at
+    the frequency of the input.
 
     Args:
         loop: loop in continuous time, or sampled-data loop.

@@ -1,6 +1,6 @@
 """Normalisation of a plant and its measurements so that numbers are near 1, and conversion of a law to the given units.
 
-If a plant is given in other units that differ by powers of two, the normalised plant is the same bit for bit. A design
+If the units of a plant change by powers of two, the normalised plant stays the same bit for bit. A design
 therefore does not depend on the units. A design depends only on the span of the measurements. The measurements are therefore
 replaced by an orthonormal basis, and dependent measurements are omitted.
 """

@@ -1,4 +1,4 @@
-"""Common settings of all computations: one BLAS thread, and errors for failures instead of empty results."""
+"""Common settings of all computations: one BLAS thread, and an error with a message if a computation fails."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,7 +27,7 @@ class NoSolutionError(DesignError):
 
 
 class TooLargeError(DesignError):
-    """Failure because an LMI problem has more unknowns than the central-path method allows."""
+    """Failure because an LMI problem has more optimisation variables than the central-path method allows."""
 
 
 # A wrong shape is a programming error of Roadproof, even though numpy raises a LinAlgError for it.
@@ -62,7 +62,7 @@ def up_to_rounding() -> Iterator[None]:
 def numerics() -> Iterator[None]:
     """Runs a block or a decorated function with one BLAS thread and without warnings about overflow.
 
-    Failed linear algebra raises a DesignError. The code that uses results rejects results that are not finite.
+    Failed linear algebra raises a DesignError. Results can be infinite or NaN; the callers check for this.
 
     Raises:
         DesignError: numpy or scipy reports a matrix that is singular or not finite.

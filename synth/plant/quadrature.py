@@ -80,7 +80,7 @@ def sample_band(
 
     Args:
         function: function of frequencies [rad/s] of shape (F,), which returns values of shape (F, ...).
-        checked: function of frequencies, shape (F,), and of the values that `function` has at these frequencies. The function
+        checked: function of frequencies, shape (F,), and of the values that `function` has at these frequencies. `checked`
             returns c nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
         poles: poles of the function [rad/s], complex, shape (n,). Near poles, panels are short.

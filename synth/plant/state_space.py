@@ -88,7 +88,7 @@ class StateSpace:
 
     @property
     def feedthrough_radius(self) -> float:
-        """Spectral radius of the feedthrough of a cut loop. If it is 1 or more, the closed loop has no delay margin."""
+        """Spectral radius of the feedthrough of a cut loop. If this radius is 1 or more, the closed loop has no delay margin."""
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:

@@ -177,7 +177,7 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
     """Returns the least-squares solution, in which some of the undetermined unknowns are 0.
 
     Among equally undetermined unknowns, the first one is set to 0. In a connected plant, all units except the rate are equally
-    undetermined. Rounding errors must not decide which of them is set to 0. Rounding errors differ between machines, and an
+    undetermined. Rounding errors must not decide which unit is set to 0. Rounding errors differ between machines, and an
     extreme unit might then determine all other units.
 
     Args:

@@ -16,15 +16,15 @@ STEPS, HALVINGS = 16, 8
 
 
 def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Array]:
-    """Returns, for each measurement, its largest gain entry, and by how much this entry may decrease and increase.
+    """Returns the largest gain entry for each measurement, and by how much this entry may decrease and increase.
 
     Args:
         K: stabilising gain, shape (m, q).
         share: allowed relative increase of the norm.
 
     Returns:
-        Gain entry, allowed decrease and allowed increase, each of shape (q,). The allowed changes are >= 0, and infinite if the
-        entry has no effect.
+        Gain entry, allowed decrease and allowed increase, each of shape (q,). The allowed changes are not negative; they are
+        infinite if the entry has no effect.
     """
     landscape = Landscape(plant)
     x = landscape.point(K)

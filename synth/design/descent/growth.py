@@ -1,8 +1,8 @@
-"""Growth of a gain in stages. Each stage at most doubles the gain, and it is kept only if it lowers the norm sufficiently.
+"""Growth of a gain in stages. Each stage at most doubles the gain. A stage is kept only if it lowers the norm sufficiently.
 
 Minimising a norm without limits on the gain leads to useless controllers, because the infimum may lie at infinite gain.
-Starting from the paper's controller I, the gain would grow to [-72240, -82631] for a decrease of gamma by a thousandth. Each
-doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that achieves less is undone.
+From the paper's controller I, a descent without limits would increase the gain to [-72240, -82631] to lower gamma by only a
+thousandth. Each doubling of the gain must therefore lower the norm by at least 0.1 %. A stage that achieves less is undone.
 """
 
 import math
@@ -42,8 +42,8 @@ def lower_by_growth(
         size: largest absolute value of an entry of the point. Default: computed from the point.
 
     Returns:
-        Final point, its value, and the decrease and the growth in the stage that was undone. The last item is None if no stage
-        was undone, or if the undone stage brought no decrease.
+        Final point, its value, and a pair for the undone stage, with the relative decrease of the value and the growth factor of
+        the largest entry. The pair is None if no stage was undone, or if the undone stage did not lower the value.
     """
     size = float(np.abs(x).max()) if size is None else size
     for stage in range(STAGES):

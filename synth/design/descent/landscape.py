@@ -1,19 +1,19 @@
 """The norm as a function of the gain: the value and slope of the norm, and smooth functions that bound it from below.
 
-A gain K is a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect. N is m q, or
-the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous function of the
-gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on edges. For all
-unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for the singular
-vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This function is
-called a cut (Apkarian, Noll 2006).
+A gain K is represented by a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect.
+N is m q, or the number of free entries if a structure fixes the other entries to zero. The H-infinity norm is a continuous
+function of the gain. The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on
+edges. For all unit vectors u and v, the largest singular value of T(j omega) is at least Re u' T(j omega) v, with equality for
+the singular vectors. Each choice of omega, u and v therefore gives a smooth function that bounds the norm from below. This
+function is called a cut (Apkarian, Noll 2006).
 
 A discrete plant is represented by the continuous plant into which the bilinear transform maps it, with the same gains but other
-frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The gain that acts on
-them is (I - K Dyu)^-1 K.
+frequencies. The measurements of the continuous plant contain the force, as an accelerometer signal does. The equivalent gain
+for measurements without the force is (I - K Dyu)^-1 K.
 
-If two measurements are large and nearly equal, the norm depends strongly on the gain for their sum. The norm hardly depends on
-the gain for their difference. An example is a slowly drifting reference and the position that follows it. The same occurs if
-two forces nearly cancel in z. In the original coordinates, the norm as a function of the gain then has a narrow valley. A
+If two measurements are large and nearly equal, the norm depends strongly on the gain that acts on their sum. The norm hardly
+depends on the gain that acts on their difference. An example is a slowly drifting reference and the position that follows it. A
+similar problem occurs if two forces nearly cancel in z. As a function of the gain entries, the norm then has a narrow valley. A
 change dK of the gain changes z by T_zu dK T_yw w. In suitable coordinates, there is no valley. These coordinates make the
 measurements uncorrelated and of equal size if w is white noise. These coordinates also make the responses of z to white-noise
 forces orthogonal and of equal size. The curvature of a quadratic cost is then the same in all directions (natural gradient).
@@ -63,7 +63,7 @@ class Modes:
 
     @cached_property
     def far(self) -> Array:
-        """Finite frequency at which the gain is close to the gain at infinity [rad/s], shape (1,).
+        """Finite frequency at which the gain is close to the gain at infinite frequency [rad/s], shape (1,).
 
         Cuts need finite frequencies.
         """
@@ -99,7 +99,7 @@ class Cuts:
 
 
 def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
-    """Refines local maxima over frequency.
+    """Refines the frequencies of local maxima of a gain.
 
     In each step, the vertex of the parabola through three points becomes the middle point.
 
@@ -151,7 +151,7 @@ class Work:
 
 
 def price(states: int, entries: int) -> float:
-    """Returns the computing work for one norm, with the slopes and curvatures for a descent over this many gain entries."""
+    """Returns the computing work for one norm, with its slopes and curvatures for a descent over `entries` gain entries."""
     return (0.4 + 0.6 * (states / 8) ** 2) * (1 + entries / 60)
 
 
@@ -172,7 +172,7 @@ class Landscape:
         plant: generalised plant with n states, m inputs, r disturbances and q measurements.
         structure: mask, shape (m, q): True for entries of K that may be nonzero. None if all entries may be nonzero.
         work: counter of the computing work that is spent on norms. Default: a counter without a limit.
-        band: lower and upper frequency [rad/s] between which gains count; all frequencies by default.
+        band: lower and upper limit of the frequencies [rad/s] at which gains count; all frequencies by default.
         """
         image, self.before = continuous_image(plant)
         self.band = mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt)
@@ -185,7 +185,7 @@ class Landscape:
         columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(plant.Cy, axis=1)
         rate = float(np.linalg.norm(A, 2)) or 1.0
         columns = np.where(columns > 0, columns, 1.0)
-        # this case occurs if all measurements contain only forces
+        # a measurement that contains only forces has a zero row in Cy
         of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
@@ -232,7 +232,7 @@ class Landscape:
         return np.full_like(eye, np.nan)
 
     def point_acting(self, K: Array) -> Array:
-        """Returns the point whose gain acts like the gain K without Dyu, shape (N,)."""
+        """Returns the point whose gain has the same effect with Dyu as the gain K has without Dyu, shape (N,)."""
         if self.through:
             K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.plant.Dyu, K)
         return self.point(K + self.before)
@@ -294,7 +294,7 @@ class Landscape:
         return self.last_modes
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
-        """Returns the norm and its peak frequency [rad/s]; infinite if the loop is unstable or not finite.
+        """Returns the norm and the frequency of its peak [rad/s]; the norm is infinite if the loop is unstable or not finite.
 
         Args:
             above: limit; if the norm exceeds the limit, the search ends early and returns a lower bound.
@@ -378,8 +378,8 @@ class Landscape:
 
         A peak is the maximum of Re u' T v over unit vectors u, v and nearby frequencies. This maximum is the eigenvalue of J =
         [0 T; T' 0] with the eigenvector q = (u, v) / sqrt 2. Perturbation theory gives the second derivatives of this
-        eigenvalue with respect to x and omega. Since omega follows the maximum, it is eliminated from the Hessian. Terms with
-        nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
+        eigenvalue with respect to x and omega. Since omega follows the maximum, omega is eliminated from the Hessian. Terms
+        with nearly equal eigenvalues are omitted, because the cuts with mixed vectors already represent them.
         """
         loop = self.loop(x)
         n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
@@ -449,7 +449,7 @@ class Landscape:
         return (omega > 0) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def _inside(self, omega: Array) -> Array:
-        """Returns the frequencies within the band, with its finite ends, ascending."""
+        """Returns those frequencies that lie within the band, and the finite ends of the band, ascending."""
         low, high = self.band
         omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
         return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))
@@ -472,7 +472,7 @@ SMALLEST = 1e-12
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """Returns the matrix M of balanced coordinates t at a stable point x, in which a point is x + M t, shape (N, N)."""
+    """Returns the matrix M, shape (N, N), of balanced coordinates t at a stable point x. Another point is then x + M t."""
     loop = landscape.loop(x)
     triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
     w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
@@ -488,7 +488,7 @@ def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
 
 
 def _root(variance: Array) -> Array:
-    """Returns the inverse square root of a variance; the identity if the variance is zero or not finite."""
+    """Returns the inverse square root of a covariance matrix; the identity if this matrix is zero or not finite."""
     if not np.all(np.isfinite(variance)):  # the loop is at the stability limit
         return np.eye(len(variance))
     sizes, directions = np.linalg.eigh((variance + variance.T) / 2)
@@ -516,7 +516,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
 
 def _within(M: Array, free: Array) -> Array:
-    """Returns coordinates for the free entries alone, in which lengths are measured as in the coordinates M, as a square matrix.
+    """Returns a square matrix of coordinates for only the free entries. Lengths of steps are the same as in the coordinates M.
 
     Raises:
         LinAlgError: M is singular.

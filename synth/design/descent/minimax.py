@@ -1,13 +1,13 @@
-"""Descent on a nonsmooth function: minimises the largest of several terms, within bounds on other terms.
+"""Descent on a nonsmooth function: minimises the largest of several terms, within bounds on further terms.
 
 - `descend` is sequential quadratic programming for a minimax problem. The model for a step is the maximum of linear functions
-    that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of this model. If
-    a step is too long, the linear functions at its end are added to the model, as in bundle methods.
-  If the curvature is unknown or has the wrong sign, the step
-  length is measured in coordinates in which all directions have equal weight (`balanced_coordinates`).
+  that bound the terms from below, plus a quadratic term for their curvature. The step leads to the minimum of this model. If a
+  step is too long, the linear functions at the end of the step are added to the model, as in bundle methods. If the curvature
+  is unknown or has the wrong sign, the step length is measured in coordinates in which all directions have equal weight
+  (`balanced_coordinates`).
 - While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). If this multiple exceeds the
-    Lagrange multipliers of the bounds, the sum has the same minimum as the goal within the bounds. The sum of two maxima is the
-    maximum of all sums of pairs, so the model keeps its form.
+  Lagrange multipliers of the bounds, the penalised goal has the same minimum as the goal has within the bounds. The sum of two
+  maxima equals the maximum of the sums of all pairs of functions, so the penalised model has the same form.
 - `descend_norm` applies this descent to one norm, in stages that each have their own coordinates and curvature.
 - `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013).
   BFGS is fast far from a minimum, but it stalls where the function has an edge.
@@ -58,7 +58,7 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
             are not finite.
         target: the minimisation ends at a value below this target.
         x: starting point, with a finite value.
-        rounds: largest number of rounds.
+        rounds: largest number of iterations.
     """
     value, slope = function(x)
     inverse = np.eye(len(x)) * 0.1 / max(float(np.linalg.norm(slope)), 1e-300)
@@ -103,7 +103,7 @@ class Evaluation:
 
     Attributes:
         goal: largest value of all goals; infinite if a loop is unstable.
-        excess: relative violation of the worst bound; negative if all bounds are fulfilled.
+        excess: relative violation of the most violated bound; negative if all bounds are fulfilled.
         worst: indices of the largest goal and of the most violated bound.
     """
 
@@ -123,7 +123,7 @@ Cuts = list[tuple[int, Any]]  # data from which the functions are identified, wi
 
 
 class MinimaxProblem:
-    """Minimisation of the largest of several terms, with bounds on other terms.
+    """Minimisation of the largest of several terms, with bounds on further terms.
 
     Attributes:
         goals: terms of which the largest is minimised.
@@ -197,7 +197,7 @@ class MinimaxProblem:
         return model
 
     def of_cuts(self, x: Array, cuts: Cuts) -> Model:
-        """Returns the functions that belong to given cuts, evaluated at a point."""
+        """Returns the functions that the given cuts identify, evaluated at a point."""
         terms = self.terms
         return [(i, terms[i].reevaluate(x, each)) for i, each in cuts]
 
@@ -215,8 +215,8 @@ def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enou
     """Minimises the norm, starting at a stable point x, subject to |x_i| <= limit_i.
 
     The descent ends if the norm is at most `enough`, or if a stage hardly lowers the norm. Every stage computes its own
-    coordinates and starts without curvature. The curvature of the previous stage belongs to other edges and would only shorten
-    the steps.
+    coordinates, and starts without information about the curvature. The curvature of the previous stage belongs to other edges
+    of the norm, and would only shorten the steps.
 
     Returns:
         The final point, and its norm.
@@ -410,9 +410,9 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
     The step t minimises max_i (values_i + slopes_i t) + t' hessian t / 2, subject to |x + M t| <= limit.
 
     The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). Let h
-    be the maximum, and y the step in coordinates with unit Hessian. Then h + |y|^2 / 2 is, up to a negligible term, a distance
-    from a point far down the axis of h. The first solution includes only the limits to which entries are already close. Limits
-    that this solution violates are then added.
+    be the maximum, and y the step in coordinates with unit Hessian. Up to a negligible term, minimising h + |y|^2 / 2 then
+    means minimising the distance from a point far down the h axis. The first solution includes only the limits to which entries
+    are already close. Limits that this solution violates are then added.
 
     Returns:
         The step t, and the weights of the linear functions.
@@ -454,6 +454,6 @@ def _non_negative(matrix: Array, target: Array) -> Array:
 
 
 def convex(curvature: Array, damping: float) -> Array:
-    """Returns a positive definite matrix whose eigenvalues are the absolute values of the given curvatures."""
+    """Returns a positive definite matrix: the curvature with the absolute values of its eigenvalues, plus `damping`."""
     values, vectors = np.linalg.eigh(curvature)
     return (vectors * (np.clip(np.abs(values), 1e-8, 1e8) + damping)) @ vectors.T

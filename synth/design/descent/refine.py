@@ -1,4 +1,4 @@
-"""`--refine`: descent on the norm from a gain that LMIs gave, as long as the decrease justifies a larger gain (`growth.py`)."""
+"""`--refine`: descent on the norm from a gain designed with LMIs, while the decrease justifies a larger gain (`growth.py`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,9 +30,9 @@ class Refinement:
         gain: gain matrix K, shape (m, q).
         before: norm before the refinement.
         after: norm after the refinement.
-        growth: ratio of the largest gain entries after and before the refinement, in internal units of the loop.
-        refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if another
-            stage would not lower gamma.
+        growth: largest gain entry after the refinement, divided by the largest entry before, in internal units of the loop.
+        refused_stage: relative decrease of gamma, and growth of the gain, in the first stage that was undone. None if no stage
+            was undone, or if the undone stage did not lower gamma.
         what: name of the norm that is lowered.
     """
 
@@ -121,7 +121,7 @@ def own_norm(plant: Plant, K: Array) -> float:
 
 @numerics()
 def worth_refining(plant: Plant, K: Array) -> float:
-    """Returns a quick, low estimate of the relative decrease of the norm that `refine` would achieve, from its first rounds.
+    """Returns a quick, low estimate of the relative decrease of the norm by `refine`, from the first rounds of the descent.
 
     Args:
         K: a stabilising gain, shape (m, q).
@@ -144,6 +144,6 @@ def worth_refining(plant: Plant, K: Array) -> float:
 
 
 def from_some(gain: Array, rows: Array, kept: Sequence[int]) -> Array:
-    """Returns a gain that uses only independent measurements and gives the same forces, shape (m, len(kept))."""
+    """Returns a gain on only independent measurements that gives the same forces as the given gain, shape (m, len(kept))."""
     left_out = [i for i in range(len(rows)) if i not in kept]
     return gain[:, kept] + gain[:, left_out] @ rows[left_out] @ np.linalg.pinv(rows[kept]) if left_out else gain

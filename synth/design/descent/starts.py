@@ -1,9 +1,9 @@
 """Starting gains for a search over static gains: random gains, gains from a Riccati equation, and stabilising gains.
 
 Computing the poles of a small matrix takes microseconds, but a descent takes tenths of a second. Random gains are therefore
-drawn from every decade of magnitude up to the largest allowed. Every input and every measurement also has its own random scale.
-Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade, the norm
-is computed for some of the stabilising gains.
+drawn from every decade of magnitude up to the largest allowed gain. Every input and every measurement also has its own random
+scale. Half of the gains have rank one, because gains that tend to infinity often have rank one in the limit. In each decade,
+the norm is computed for some of the stabilising gains.
 
 The state feedback u = G x that minimises the mean square of z under white noise needs all states x. With the available
 measurements, K C_y is closest to G on average if K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the state in the
@@ -12,8 +12,8 @@ loop with G. K may fail to stabilise the loop, so stability is checked afterward
 If all states are measured, the Riccati equation of the H-infinity norm gives a gain whose norm is as close to the lower bound
 as required.
 
-Two descents look for a stabilising gain, from one starting point after another. Neither descent is certain to find such a gain,
-because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
+Two types of descent search for a stabilising gain, from several starting points in turn. Neither type is certain to find
+such a gain, because no fast and certain method is known for this problem (Blondel, Gevers, Lindquist 1995).
 
 - The first descent lowers the largest real part of the poles. This function decreases steeply, but it is not Lipschitz
   continuous, and the descent stops at gains where poles coincide.
@@ -37,7 +37,7 @@ from synth.plant.units import size
 
 SMALLEST = -2  # exponent of ten of the smallest random gains, in the units of the landscape
 SAMPLES = 1000  # number of random gains that are drawn in each decade of magnitude
-WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles takes no longer
+WIDE = 30  # with more states than this, fewer random gains are drawn, so that computing their poles does not take longer
 FEWEST = 20  # smallest number of random gains that are drawn, even for a large plant
 CLOSER = 24  # number of stabilising gains in each decade for which the norm is computed
 AT_ONCE = 100  # number of random gains whose poles are computed in one call
@@ -46,7 +46,7 @@ SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """Returns the best stabilising random gain of each decade that has one, in ascending order of size; shape (N,) each."""
+    """Returns the best stabilising random gain of each decade, if there is any, in ascending order of size; shape (N,) each."""
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
@@ -108,8 +108,8 @@ def _directions(generator: np.random.Generator, count: int, shape: tuple[int, in
     return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
-# Costs that are added to every state and every force, relative to z. These costs are tried in turn so that the Riccati
-# equation has a solution
+# Costs that are added to every state and every force, relative to z. All these costs are tried, because the Riccati equation
+# may have no solution for some of them
 COUNTS = (1e-8, 1e-4, 1e-2)
 # power of a disturbance that is added to every state, relative to the power of w, because w may not affect all states
 EVERYWHERE = 1e-6
@@ -198,7 +198,7 @@ def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array
     The loops are stable at this point if the largest real part is negative.
 
     Args:
-        landscapes: landscapes of the plants, all with the same points.
+        landscapes: landscapes of the plants; a point represents the same gain in all of them.
         x: point from which the descent starts, shape (N,).
         free: indices of the entries of the point that may change.
     """

@@ -18,8 +18,8 @@ class Linearisation:
     """Set of F smooth functions that bound a term from below near a point, with their values and derivatives.
 
     Attributes:
-        values: values at the point, shape (F,).
-        slopes: derivatives at the point with respect to its N entries, shape (F, N).
+        values: values of the functions at the point, shape (F,).
+        slopes: derivatives of the functions at the point with respect to its N entries, shape (F, N).
         touching: True for functions that equal a local maximum of the term at the point, shape (F,). Only these functions
             contribute to the curvature.
         cuts: data that identifies the functions; each type of term has its own format.
@@ -35,7 +35,7 @@ class Term(ABC):
     """Function of the gain with a scalar value that is minimised or bounded.
 
     Attributes:
-        unit: reference value, relative to which values are given: a bound, or the best known value.
+        unit: reference value by which all values are divided: a bound, or the best known value.
         name: description of the bounded quantity.
     """
 
@@ -55,10 +55,10 @@ class Term(ABC):
 
     @abstractmethod
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Evaluates the functions that `Linearisation.cuts` identifies at another point."""
+        """Evaluates, at another point x, the functions that `Linearisation.cuts` identifies."""
 
     def cut(self, x: Array, value: float) -> Any:
-        """Returns the cuts of the functions that attain the last result of `value`, at the same point x."""
+        """Returns the cuts of the functions that equal the last result of `value`, which was computed at the same point x."""
         return self.support(x, value, 0.0).cuts
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
@@ -95,7 +95,7 @@ class NormTerm(Term):
         return self.landscape.cuts(x, omega[np.isfinite(omega)], value * self.unit)
 
     def reevaluate(self, x: Array, cuts: Cuts) -> Linearisation:
-        """Returns the gains for another point x at the same frequencies, where the gains need not be local maxima."""
+        """Returns the gains at the frequencies of the cuts for another point x, whose maxima may be at other frequencies."""
         return self._made(x, cuts, touching=False)
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:

@@ -9,8 +9,8 @@ a static gain. For each order, the starting points of the search are
 
 The search is the same as for static gains (`design/static.py`), but the plant includes the law's states. The gain has the zeros
 that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
-smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
-allowed.
+smaller limit on the gain. The search stops early if the law for some order reaches the lower bound. The law then has fewer
+states than allowed.
 """
 
 import contextlib
@@ -104,7 +104,7 @@ def fixed_order_design(
             returned. The default limit is about 14 s of processor time for a plant with 8 states.
 
     Returns:
-        The law with its certificate, and the start that led to it. The law may have fewer states than the structure allows.
+        The law with its certificate, and the name of its starting point. The law may have fewer states than the structure allows.
 
     Raises:
         InputError: a matrix does not fit the plant, or the law would have more states than the plant.
@@ -187,7 +187,7 @@ class _Search:
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
-        """Raises an InfeasibleError if a single mode, possibly of an integrator, makes stabilisation impossible for every law."""
+        """Raises an InfeasibleError if a mode of the plant, or the integrator of a PI or PID law, prevents stabilisation."""
         if reasons := "; ".join(stabilisability_failures(self.plant, states)):
             raise InfeasibleError(reasons)
         if structure.kind:
@@ -276,7 +276,7 @@ class _Search:
         The list is empty if measurements contain the control forces.
 
         Args:
-            best: True to include the full-order design itself.
+            best: True to include the law of `full_order_design` itself.
         """
         if np.any(self.plant.Dyu):
             return []
@@ -358,10 +358,10 @@ class _Search:
         """Returns the law with the smallest norm that the search finds; if possible, with poles slow enough for an actuator.
 
         Args:
-            starts: laws of this structure, possibly with fewer states, each with a name. If none of their loops is stable,
+            starts: laws of this structure, possibly with fewer states, each with a name. If no loop with these laws is stable,
                 other starts are used.
-            origin: name that the result gives as its starting point. Default: the name of the best start.
-            whole: True to run the search to its end; False for its first descents only.
+            origin: name of the starting point in the result. Default: the name of the best start.
+            whole: True to run the search to its end; False to run only its first descents.
             sought: number of stabilising starting points to find if none of `starts` is stable.
 
         Raises:
@@ -417,7 +417,7 @@ class _Search:
     def beyond_rounding(self, law: LinearLaw, origin: str) -> End:
         """Returns a law with its certificate.
 
-        If a pole without effect remains at 0, the poles of the law are shifted slightly to the left.
+        If a pole at 0 that has no effect remains in the loop, the poles of the law are shifted slightly to the left.
         """
         end = End(law, origin, self.certified(law))
         for shift in SHIFTS * bool(law.states and np.any(end.certificate.stability.on_axis)):

@@ -26,10 +26,10 @@ class StructuredGain:
     """Larger plant, for which a law of a given structure is a static gain.
 
     Attributes:
-        plant: plant with n + k states, and the measurements of the gain.
+        plant: plant with n + k states, and the measurements on which the gain acts.
         free: True for entries of the gain that may be nonzero, shape (m + k, q + k); if there are filters, the shape is (m,
             number of filter outputs).
-        filters: filters of the measurements, if the gain is a gain on their outputs; None if the gain is [D, C; B, A].
+        filters: filters of the measurements, if the gain acts on their outputs; None if the gain is [D, C; B, A].
         shape: shape of the law's D, (m, q).
     """
 
@@ -111,9 +111,9 @@ def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
 
 
 def _on(filters: LinearLaw, law: LinearLaw) -> Array:
-    """Returns the gain on the filter outputs that is equivalent to a law with the same states.
+    """Returns the gain on the filter outputs that is equivalent to a law whose states are those of the filters.
 
-    The filter outputs are independent.
+    The gain is unique, because the filter outputs are linearly independent.
     """
     made = np.hstack([filters.C, filters.D])
     return np.linalg.lstsq(made.T, np.hstack([law.C, law.D]).T, rcond=None)[0].T
@@ -130,7 +130,7 @@ def _filters(structure: LawStructure, rows: Array, period: float | None) -> Line
 
 
 def in_equal_units(landscape: Landscape, x: Array, states: int) -> Array:
-    """Returns an equivalent point at which row and column of each law state have the same norm (Osborne 1960), shape (N,).
+    """Returns an equivalent point, shape (N,), at which row and column of each law state have equal norms (Osborne 1960).
 
     Laws that differ only in the units of their states give the same loop. Among these laws, the result has the smallest entries.
     """

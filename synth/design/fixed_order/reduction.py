@@ -68,7 +68,7 @@ def _gramian(A: Array, B: Array, dt: float | None) -> Array:
 
 
 def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:
-    """Yields two laws without the states of small balanced Gramians: with these states set to zero, and in equilibrium."""
+    """Yields two laws without the states that have small balanced Gramians, which are set to zero or kept in equilibrium."""
     roots = [directions * np.sqrt(np.maximum(sizes, 0.0)) for sizes, directions in map(np.linalg.eigh, (reached, seen))]
     left, sizes, right = np.linalg.svd(roots[1].T @ roots[0])
     kept = np.maximum(sizes, 1e-14 * sizes[0] if sizes[0] > 0 else 1.0)

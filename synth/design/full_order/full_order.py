@@ -1,9 +1,9 @@
 """Full-order H-infinity output feedback: a law with as many states as the plant, and a norm close to the lower bound.
 
-The laws come from Riccati equations (`riccati.py`). If their norm stays above the lower bound, or rounding prevents a proof,
-descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati equations is one of
-a family of laws. If its regularisation raises the norm, another law of the family may be closer to the bound and also slower. A
-controller with fewer states, even a static gain, also counts as a full-order controller.
+The laws come from Riccati equations (`riccati.py`). If the norm of these laws stays above the lower bound, or rounding prevents
+a proof, descents are also tried. The best law for which a proof succeeds is returned. The central law of the Riccati equations
+is one of a family of laws. If the regularisation raises the norm of the central law, another law of the family may be closer to
+the bound and have slower poles. A controller with fewer states, even a static gain, also counts as a full-order controller.
 
 A discrete plant is mapped to a continuous plant for the design.
 """
@@ -80,7 +80,7 @@ BEYOND = 10.0  # largest gain that is tried; in this unit, a gain of 1 moves pol
 SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]
 STAGES, ROUNDS = 20, 60  # largest number of stages in the descent of a law, and largest number of rounds in each stage
 LEAST_FALL = 3e-4  # the descent ends if a stage lowers the norm by less than this relative amount
-MOST = 100  # largest number of entries for which the descent of a law takes no more than seconds
+MOST = 100  # largest number of entries for which the descent of a law takes no more than a few seconds
 
 
 def numbers(search: RiccatiSearch) -> int:
@@ -125,12 +125,12 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
 
 
 def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[TradeOffPoint]:
-    """Returns a static gain and its best multiple that is slow enough; an empty list if no gain stabilises the plant.
+    """Returns a static gain, and its best multiple with slow enough poles; an empty list if no gain stabilises the plant.
 
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         fastest: largest allowed magnitude of a pole, relative to the plant's own speed.
-        rival: norm of another law, in the given units. The search ends early if the norm of a gain is far above this norm.
+        rival: norm of another law, in the units of the plant. The search ends early if the norm of a gain is far above it.
     """
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant):
@@ -149,7 +149,7 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
 
 
 # Fastest allowed pole of a discrete loop. The unit is 1/dt in the continuous counterpart of the loop, where this pole
-# corresponds to z = -1/3, twice as fast as z = 0. An actuator that sets a force at each sample can follow
+# corresponds to z = -1/3, twice as fast as z = 0. An actuator that sets a force at each sample can follow this pole
 DEADBEAT = 4.0
 
 
@@ -165,7 +165,7 @@ def full_order_design(
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     fastest_pole: Positive | None = None,
 ) -> DesignResult:
-    """Designs a full-order controller with a norm within 0.1 % of the lower bound; if possible, itself stable and slow.
+    """Designs a full-order controller with a norm within 0.1 % of the lower bound that, if possible, is itself stable and slow.
 
     If no such controller is found, the result is the controller whose norm is closest to the bound.
 

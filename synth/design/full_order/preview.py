@@ -9,7 +9,7 @@ The feedback is the LQR feedback, so preview does not change the poles. Preview 
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds.
 
-The mean square decreases as T grows. For T = 0, it equals the mean square of LQR. The integral is computed from a Lyapunov
+The mean square decreases as T grows. For T = 0, the mean square equals that of LQR. The integral is computed from a Lyapunov
 equation.
 """
 
@@ -39,17 +39,17 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
         plant: generalised plant with n states, m inputs and r disturbances.
         preview: time T by which w is known in advance [s].
         states: names of the states, used in error messages.
-        Cy: measurements that determine the state, shape (q, n). Default: the measurements of the plant, or the state itself if
-            the plant has no measurements.
+        Cy: matrix of measurements from which the state can be computed, shape (q, n). Default: the measurements of the plant,
+            or the state itself if the plant has no measurements.
 
     Returns:
-        The feedback law, with the force from the disturbance ahead as `preview`. `h2_norm` is the H2 norm with preview, and
-        `without` is the H2 norm without preview.
+        The feedback law; its attribute `preview` contains the force from the disturbance ahead. `h2_norm` is the H2 norm with
+        preview, and `without` is the H2 norm without preview.
 
     Raises:
-        InputError: the preview time is not allowed, or an error of `lqr_design` occurs.
+        InputError: the preview time is not allowed, or `lqr_design` raises this error.
         InfeasibleError: the plant cannot be stabilised; the message describes the mode that cannot be stabilised.
-        DesignError: some force has no weight in z, or an error of `lqr_design` occurs.
+        DesignError: some force has no weight in z, or `lqr_design` raises this error.
 
     Example:
         >>> from synth import GeneralizedPlant, preview_design

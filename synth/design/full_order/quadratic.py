@@ -1,14 +1,14 @@
 """LQR, LQG and H2: controllers with the smallest mean square of z, for comparison with H-infinity controllers.
 
 The disturbance w is white noise of intensity one, and the root mean square of z is the H2 norm of the loop. If all states are
-measured, the controller is a gain (LQR). With noisy measurements, this gain acts on the state estimate of a Kalman filter. No
-linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+measured, the controller is a gain (LQR). With noisy measurements, the LQR gain acts on the state estimate of a Kalman filter.
+No linear controller has a smaller mean square (separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
 LQG and H2 are the same problem. LQG is given a separate noise for each measurement, and H2 is given z and y of a generalised
 plant. If a measurement has no noise, or a force has no cost, the problem is singular. A small noise or cost, relative to the
-plant's internal units, is then assumed, and the result contains a remark about this assumption. Given noise and cost are used
-unchanged, even if they are small. Inputs and measurements are scaled to a size of one, so that the Riccati equations contain no
-small numbers. An integral that is measured without noise is not estimated, because it only acts on z.
+plant's internal units, is then assumed, and the result contains a remark about this assumption. Noise and cost that the caller
+gives are used unchanged, even if they are small. Inputs and measurements are scaled to a size of one, so that the Riccati
+equations contain no small numbers. An integral that is measured without noise is not estimated, because it only acts on z.
 
 The direct effect of white noise on z through Dw has an infinite mean square. No control changes this effect, so it is omitted.
 """
@@ -69,7 +69,7 @@ def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
 def lqg_design(
     plant: Plant, Cy: Array | None = None, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> DesignResult:
-    """Designs the controller that minimises the mean square of z and measures y = C_y x + v, where v is independent white noise.
+    """Designs the controller that measures y = C_y x + v, with independent white noise v, and minimises the mean square of z.
 
     Args:
         plant: generalised plant with n states and m inputs.
@@ -84,10 +84,10 @@ def lqg_design(
         A law with as many states as the plant, its certificate, and its H2 norm.
 
     Raises:
-        InputError: C_y or the noise does not fit the plant; otherwise as for `lqr_design`.
+        InputError: C_y or the noise does not fit the plant, or `lqr_design` raises this error.
         InfeasibleError: no controller stabilises the plant from these measurements; the message describes the mode that cannot
             be stabilised.
-        DesignError: w does not excite a mode that does not decay, or an error of `lqr_design` occurs.
+        DesignError: w does not excite a mode that does not decay, or `lqr_design` raises this error.
 
     Example:
         >>> from synth import GeneralizedPlant, lqg_design
@@ -121,7 +121,7 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
         A law with as many states as the plant, its certificate, and its H2 norm.
 
     Raises:
-        InputError, InfeasibleError, DesignError: an error of `lqg_design` occurs.
+        InputError, InfeasibleError, DesignError: `lqg_design` raises this error.
 
     Example:
         >>> from synth import GeneralizedPlant, h2_design
@@ -140,7 +140,7 @@ def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
 
     Raises:
         DesignError: LQR was requested, but not every state is measured.
-        InputError, InfeasibleError, DesignError: an error of `lqr_design`, `lqg_design` or `h2_design` occurs.
+        InputError, InfeasibleError, DesignError: `lqr_design`, `lqg_design` or `h2_design` raises this error.
     """
     plant, states = problem.plant, problem.states
     if problem.design == "lqr":
@@ -243,7 +243,7 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
 
 
 def _assumed_rows(D: Array) -> tuple[Array, float]:
-    """Returns rows to add to D that raise its zero singular values to `ASSUMED_SIZE`, and its smallest nonzero singular value.
+    """Returns extra rows that raise D's zero singular values to `ASSUMED_SIZE`, and the smallest nonzero singular value of D.
 
     Args:
         D: matrix with a column for each input, shape (d, m).
@@ -258,7 +258,7 @@ def _assumed_rows(D: Array) -> tuple[Array, float]:
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
-    """Returns the best law with added costs of forces and noise of measurements, and texts that describe these additions.
+    """Returns the optimal law with added costs of forces and noise of measurements, and texts that describe these additions.
 
     Raises:
         DesignError: a Riccati equation has no solution.
@@ -299,7 +299,7 @@ def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> A
     SciPy's balancing may fail if slow modes are close to the imaginary axis.
 
     Raises:
-        LinAlgError, ValueError: there is no solution, neither with nor without balancing.
+        LinAlgError, ValueError: no solution was found, with or without balancing.
     """
     try:
         return linalg.solve_continuous_are(A, B, Q, R, s=S)

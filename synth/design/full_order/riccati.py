@@ -21,9 +21,9 @@ and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-A larger share gives a slower controller. The share is therefore reduced until the required gamma is reached, which gives the
-slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an actuator, the
-search returns the trade-off between norm and speed. This is the smallest gamma for each share.
+A larger share of noise and cost gives a slower controller. The share is therefore reduced until the required gamma is reached,
+which gives the slowest controller with this gamma. If no share reaches this gamma with a controller that is slow enough for an
+actuator, the search returns the trade-off between norm and speed. This trade-off consists of the smallest gamma for each share.
 
 If gamma approaches its smallest value, some poles of the central law tend to infinity, and the law without these poles is
 equally good. Each law that is too fast is therefore also tried without its fast poles.
@@ -62,10 +62,10 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs, where D has rank m.
-        gamma: value below which the norm of the closed loop must be.
+        gamma: value that the norm of the closed loop must stay below.
 
     Raises:
-        InfeasibleError: no law has this norm, or rounding prevents finding it.
+        InfeasibleError: no law has a norm below gamma, or rounding prevents finding such a law.
     """
     A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, plant.Dyw.shape, gamma**2
     turn_z, from_u = _last(plant.D)  # the product turn_z' D from_u is [0; I]
@@ -91,12 +91,12 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
 
 
 def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
-    """Returns the state feedback G, shape (m, n), of the saddle point for a level gamma. The norm of its loop is below gamma.
+    """Returns the saddle-point state feedback G, shape (m, n), for a level gamma. The norm of the loop with G is below gamma.
 
     Args:
         plant: generalised plant with n states, m inputs, r disturbances and d controlled outputs.
-        gamma: level, above the norm of the loop.
-        share: regularisation: every force has at least this cost, relative to the larger of the norms of D and C.
+        gamma: level, which must exceed the smallest norm of a state feedback.
+        share: smallest cost of every force (regularisation), relative to the larger of the norms of D and C.
 
     Raises:
         InfeasibleError: no state feedback has a norm below gamma, or rounding prevents finding it.
@@ -238,7 +238,7 @@ WITHIN = 1e-3  # the search ends if the relative gap between norm and lower boun
 # states in z
 SHARES = tuple(10.0 ** (-k / 2) for k in range(-1, 17))
 STATES = 0.1  # disturbance and weight that are added to all states, as a multiple of the share of noise and cost that is added
-# After the first share that is sufficient, these multiples of the share are also tried
+# multiples of the first sufficient share that are also tried
 AROUND = tuple(10.0 ** (k / 8) for k in range(-8, 13))
 # relative amounts by which gamma may exceed the required norm, because the actual norm is often smaller than gamma
 REACHES = (0.0, 2e-3, 1e-2, 3e-2)
@@ -269,8 +269,8 @@ class TradeOffPoint:
         law: control law in the units of the given plant.
         own: the same control law in the plant's internal units.
         search: search that found the law.
-        least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
-            the time that a norm takes, and the estimate rules out most points.
+        least: lower estimate of the norm, which is the largest gain at the frequencies of the poles. Computing this estimate
+            takes a tenth of the time that a norm takes, and the estimate rules out most points.
         speed_up: fastest pole of the loop, relative to the plant's speed without control.
     """
 
@@ -288,7 +288,7 @@ class TradeOffPoint:
 
     @cached_property
     def norm(self) -> float:
-        """Norm of the loop in the given units, computed by only one method."""
+        """Norm of the loop in the units of the given plant, computed by only one method."""
         own = self.search.own
         return level_set_norm(own.plant.closed(self.own))[0] / own.norm
 
@@ -303,7 +303,7 @@ class TradeOffPoint:
 
     @property
     def excess(self) -> float:
-        """Speed of the loop, relative to the highest speed that need not be justified, `much`; 1 if the loop is slower."""
+        """Speed of the loop relative to `much`, the highest speed that need not be justified; 1 if the loop is slower."""
         return max(1.0, self.speed_up / self.search.much)
 
     @property
@@ -344,7 +344,7 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """Returns the slow enough controller with the smallest `trouble` and nearly the smallest cost, or None.
+    """Returns the slow enough controller with the least `trouble` and nearly the smallest cost; None if all are too fast.
 
     Args:
         trade: controllers in any order.
@@ -363,7 +363,7 @@ class RiccatiSearch:
 
     Attributes:
         fastest: speed of the plant without control [rad/s]; see `speed`.
-        much: multiple of `fastest`. A loop that is faster than this multiple must have a lower norm; see `PRICE`.
+        much: multiple of `fastest`. A loop that is faster than this multiple must be justified by a lower norm; see `PRICE`.
     """
 
     def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
@@ -376,7 +376,7 @@ class RiccatiSearch:
         self.much = max(FASTEST, quick / self.fastest)
 
     def near(self, fastest: float) -> TradeOffPoint | None:
-        """Returns the slow enough controller with the least `trouble` within WITHIN of the lower bound, or None."""
+        """Returns the slow enough controller with the least `trouble` and a norm within WITHIN of the lower bound, or None."""
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
@@ -399,7 +399,7 @@ class RiccatiSearch:
         return best
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for all shares of noise and cost and for several gamma, with and without their fastest poles."""
+        """Returns controllers for all shares of noise and cost and several values of gamma, also without their fastest poles."""
         points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
@@ -408,12 +408,12 @@ class RiccatiSearch:
         return points + self.slower(points, fastest)
 
     def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
-        """Returns the controllers for a share of noise and cost, for the smallest gamma and several larger gamma."""
+        """Returns the controllers for a share of noise and cost, for the smallest possible gamma and several larger values."""
         tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares between those of two neighbours on a front, one slow enough and one too fast."""
+        """Returns controllers for shares of noise and cost between a slow enough and a too fast neighbour on a Pareto front."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )
@@ -430,7 +430,7 @@ class RiccatiSearch:
     def slower(self, points: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
         """Removes the fast poles from the laws of controllers that are too fast.
 
-        Returns the results whose loops are still stable.
+        Returns those of the resulting controllers whose loops are still stable.
         """
         left, much = list[TradeOffPoint](), min(fastest, self.much)
         for each in points:
@@ -467,7 +467,7 @@ class RiccatiSearch:
         """Returns the trade-off point of a law in internal units; None if its loop is not stable.
 
         Raises:
-            InputError: an entry is too large for a law in the given units.
+            InputError: an entry of the law is too large in the units of the given plant.
         """
         own, back = self.own, self.own.back(law)
         system = closed_by(own.plant, law)

@@ -1,10 +1,10 @@
 """Full-order laws that are stable themselves, so that they do not wind up when forces saturate.
 
 Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. This
-descent lowers the norms of two plants with one gain [D, C; B, A]. The first is the given plant with the law's states. The
-second consists of the law's states alone, x_c' = v, with a small weight. The closed loop of the second plant is x_c' = A x_c,
-whose norm is finite as long as the law itself is stable. If a law subtracts forces from its measurements, its matrix A changes
-before the law is executed. The stability of this law is therefore checked in the form in which it is executed.
+descent lowers the norms of two plants with one gain [D, C; B, A]. The first plant is the given plant with the law's states. The
+second plant consists of only the law's states, x_c' = v, with a small weight. The closed loop of the second plant is x_c' = A
+x_c, whose norm is finite as long as the law itself is stable. If a law subtracts forces from its measurements, its matrix A
+changes before the law is executed. The stability of the law is therefore checked after this change.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
     Args:
         search: search for laws for the plant; the internal units of this search are used.
         fits: function that returns True if a law is itself stable and its loop is slow enough.
-        most: a descent continues from the best laws if a law has at most this number of entries.
+        most: largest number of entries of a law from which a descent continues.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
     # A descent cannot turn a fast law into a slow law.
@@ -63,7 +63,7 @@ def descend_stable(plant: Plant, start: Array, states: int, light: float, struct
     """Returns the gain [D, C; B, A] at the end of the descent from a stable law. Rounding may have made this law unstable.
 
     Args:
-        plant: plant with the law's states, and the measurements of the gain.
+        plant: plant with the law's states, and the measurements on which the gain acts.
         start: gain of the stable law from which the descent starts; its loop must also be stable.
         states: number k of the law's states.
         light: weight of the law's own states.

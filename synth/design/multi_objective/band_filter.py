@@ -1,8 +1,8 @@
 """Filter that represents a frequency band as a weight on w: its gain is at least one in the band and small outside the band.
 
 A bound on the norm with this filter is also a bound on the norm in the band. Some bounds, such as the norm over a box of gain
-errors, can only be proved over all frequencies. With the filter, they can also be proved for a band. The bound is less tight
-near the edges of the band, because the gain of the filter decreases gradually there.
+errors, can only be proved over all frequencies. With the filter, these bounds can also be proved for a band. The bound is less
+tight near the edges of the band, because the gain of the filter decreases gradually at these edges.
 """
 
 from functools import reduce
@@ -43,6 +43,6 @@ def band_filter(band: Band) -> StateSpace:
     low, high = band
     kind, edges = ("lowpass", high) if low == 0 else ("highpass", low) if np.isinf(high) else ("bandpass", [low, high])
     zpk = signal.ellip(ORDER, RIPPLE, BESIDE, edges, kind, analog=True, output="zpk")
-    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the option `output` selects this format
+    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the option `output` selects zeros, poles and gain
     sections = signal.zpk2sos(z, p, k * 10 ** (RIPPLE / 20), analog=True)
     return reduce(series, (transfer_function(section[:3], section[3:]) for section in sections))

@@ -32,7 +32,7 @@ class BandLandscape(Landscape):
             self.scale = like.scale
 
     def slowest(self, x: Array) -> float:
-        """Returns the largest real part of the poles that the gain can change [rad/s]; infinite if the loop does not exist."""
+        """Returns the largest real part of the poles that the gain can change [rad/s]; infinite if the loop is ill-posed."""
         if self.own == len(self.plant.A):
             poles = self.modes(x).poles
         else:

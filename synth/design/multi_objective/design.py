@@ -116,9 +116,9 @@ def multi_objective_design(
 
 @numerics()
 def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Progress = quiet) -> float:
-    """Returns the goal of a better gain, found by descent from a design's gain, which must fulfil the bounds of the problem.
+    """Returns the value of the goal after descent from a design's gain. This gain must fulfil the bounds of the problem.
 
-    If no better gain is found, the goal of the design is returned.
+    If no better gain is found, the goal value of the design is returned.
 
     The better gain comes from a descent with a fixed number of rounds, so it need not be the best gain.
 
@@ -133,7 +133,7 @@ def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, 
 
 
 def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) -> MultiObjectiveDesign:
-    """Runs the search from the two-step gains of the first, middle and last member, and from starts that it generates."""
+    """Runs the search from the two-step gains of the first, middle and last member, and from starts that it generates itself."""
     count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
         plant_problem = problem.members[i].plants[0]
@@ -151,7 +151,7 @@ def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProb
     """Returns the problem whose goal is the largest ratio of a member's norm to its individual optimum, with the same bounds.
 
     Raises:
-        DesignError: no gain fulfils the bounds for one of the members, even on its own.
+        DesignError: no gain fulfils the bounds for one of the members, even if the gain is designed for this member only.
     """
     bests = []
     for i in range(len(problem.members)):

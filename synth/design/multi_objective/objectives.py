@@ -29,11 +29,11 @@ class Decay(Term):
         return 2 + self.landscape.slowest(x) / self.rate
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the values for all poles close to the slowest pole."""
+        """Returns the values of the term for all poles close to the slowest pole."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
     def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the values for the poles at another point."""
+        """Returns the values of the term for the slowest poles at another point x."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
     def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
@@ -48,8 +48,8 @@ class BoundedSignal:
     """Bounded signal c x + g u of a plant, without feedthrough from w.
 
     Attributes:
-        c: row vector of the states, shape (n,).
-        g: row vector of the inputs, shape (m,).
+        c: row vector that multiplies the states, shape (n,).
+        g: row vector that multiplies the inputs, shape (m,).
         at_most: largest allowed magnitude for the given energy.
         root: square root of the energy of the disturbance, which is the integral of |w|^2.
         name: description of the bound, used in messages.
@@ -88,7 +88,7 @@ class EnergyPeak(Term):
         return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
-        """Returns the value and its derivatives with respect to the entries of the gain, shape (m q,)."""
+        """Returns the value of the term, and its derivatives with respect to the entries of the gain, shape (m q,)."""
         land = self.landscape
         loop = land.loop(x)
         A, Bw = loop.A, loop.Bw
@@ -101,7 +101,7 @@ class EnergyPeak(Term):
         square = float(c @ P @ c)
         if not square > 0:
             return 0.0, np.zeros(len(x))
-        # Half the derivative of c P c'. The dynamics, the signal and the measurement noise contribute to it.
+        # Half the derivative of c P c'. The dynamics, the signal and the measurement noise contribute to this derivative.
         moved = loop.B.T @ Q
         half = moved @ P @ loop.Cy.T + np.outer(self.signal.g @ land.after(x), loop.Cy @ P @ c) + moved @ Bw @ loop.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit

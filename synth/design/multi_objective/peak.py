@@ -35,9 +35,9 @@ class RoadPeak(Term):
 
     def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
         """Args:
-        driven: plant on its road, with the signal.
+        driven: plant, the road on which it moves, and the bounded signal.
         scale: scale of each entry of the gain, as in a landscape, shape (m, q).
-        unit: largest allowed magnitude of the signal, to which values are relative.
+        unit: largest allowed magnitude of the signal, by which values are divided.
         """
         self.driven, self.scale, self.name = driven, scale, driven.name
         self.spare = SPARE
@@ -76,7 +76,7 @@ class RoadPeak(Term):
         return self._made(x, touching, touching=True)
 
     def reevaluate(self, x: Array, cuts: Sequence[tuple[int, float, float]]) -> Linearisation:
-        """Returns the signal for another gain at the same times."""
+        """Returns the signal for another gain at the times that the cuts contain."""
         _, y, slopes, _ = self._signal(x)
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in cuts]
         return self._made(x, again, touching=False)
@@ -107,7 +107,7 @@ class RoadPeak(Term):
         return x.reshape(self.scale.shape) * self.scale
 
     def _signal(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns states, signal and its time derivative over time, and the signal next to kinks of the road.
+        """Returns the states, the signal and its time derivative at all times, and the signal next to kinks of the road.
 
         The last result is cached.
         """
@@ -139,12 +139,12 @@ def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
     """Returns the largest magnitude of the signal y at all times after the start of the road; infinite if the loop is unstable.
 
     Between two times a step h apart, the distance of the signal from the straight line through both ends is at most h^2 / 8 max
-    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. There, the change of the signal from one
-    time to the next bounds this distance. The free motion after the road is computed until a bound shows that all later motion
-    is smaller.
+    |y''|. Next to a kink of the road, the times are only a millionth of a step apart. Next to a kink, the change of the signal
+    from one time to the next bounds this distance. The free motion after the road is computed until a bound shows that all
+    later motion is smaller.
 
     Args:
-        driven: plant on its road, with the signal.
+        driven: plant, the road on which it moves, and the bounded signal.
         K: gain, shape (m, q).
     """
     A, c = driven.loop(K)
@@ -195,7 +195,7 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
-    """Returns the peak of the free motion after the last time step if it exceeds the known peak, and a bound on this motion."""
+    """Returns the peak of the free motion after the last time step, if it is the highest so far, and a bound on this motion."""
     z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # height of the road after its end
     rest = np.linalg.solve(A, -(A @ driven.plant.Bw + driven.Br) @ z)
     level = float(c @ rest + (c @ driven.plant.Bw + driven.f) @ z)

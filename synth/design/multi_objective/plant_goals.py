@@ -27,7 +27,7 @@ def norms_of(goals: Goals) -> list[NormOf]:
 def posed_goals(
     goals: Goals, members: Sequence[FamilyMember], measured: Sequence[str], forces: Sequence[str]
 ) -> MultiObjectiveProblem:
-    """Returns the problem of given goals, without the individual optima of its members.
+    """Returns the multi-objective problem for given goals, without the individual optima of its members.
 
     Args:
         members: members of the family, each with a plant for every entry of `norms_of`, and with the data for its other bounds.
@@ -61,7 +61,7 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
 
 
 def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Plant]) -> tuple[Goals, MultiObjectiveProblem]:
-    """Returns the goals and their problem, for plants of the same size with the same measurements.
+    """Returns the goals and the multi-objective problem that they define, for plants with the same size and measurements.
 
     Args:
         where: text with which error messages begin.

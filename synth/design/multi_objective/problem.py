@@ -1,4 +1,4 @@
-"""Problem of multi-objective design: norms, bounds, gain errors and a structure, and its terms for given gain errors."""
+"""Multi-objective design problem with norms, bounds, gain errors and a structure, and its terms for given gain errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -60,8 +60,8 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
     Args:
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n).
-        Dyw: direct effect of w on the measurements, shape (q, r); Default: zero.
-        through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
+        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
 
     Returns:
         A copy of the plant with these measurements.
@@ -84,7 +84,7 @@ class FamilyMember(CheckedFields):
     """Member of a family of plants, with its bounded signals.
 
     Attributes:
-        plants: the plant with its measurements, once for each norm; z contains the signals of this norm.
+        plants: copies of the plant with its measurements, one for each norm; z of each copy contains the signals of its norm.
         driven_by: plant, road and bounded signal of each bound on a peak.
         signals: signals of the first plant in `plants` that are bounded for disturbances of a given energy.
     """
@@ -186,7 +186,7 @@ class MultiObjectiveProblem(CheckedFields):
         return GainErrors(np.zeros(q), np.zeros(m))
 
     def corners(self, most: int) -> list[GainErrors]:
-        """Returns the vertices of the box of gain errors; an empty list if there are more than `most`."""
+        """Returns the vertices of the box of gain errors; an empty list if the box has more than `most` vertices."""
         sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
         if not 0 < np.count_nonzero(sides) <= np.log2(most):
             return []
@@ -201,7 +201,7 @@ class MultiObjectiveProblem(CheckedFields):
         return BandLandscape(errors.on(self.members[i].plants[which]), band, like)
 
     def nominal(self) -> BandLandscape:
-        """Returns the landscape of the first member without errors. The points of all landscapes have the scales of this one."""
+        """Returns the landscape of the first member without errors, whose scales define the points of all landscapes."""
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 

@@ -1,10 +1,10 @@
 """Exact response of a closed loop to a road, and the largest value of a signal over this road.
 
 The road heights under the wheels are z, and w = z' is the road velocity. The substitution x = xi + Bw z turns x' = A x + Bw w +
-Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, no longer
-appears. The convolution integral over each time step is computed by a quadrature of order 16. A step with a kink is split into
-intervals that become shorter towards the kink, from both sides. Between two times, the signal is approximated by the cubic
-polynomial with the values and derivatives at both times.
+Br z into xi' = A xi + (A Bw + Br) z. The road velocity, which jumps at a kink and is infinite at a vertical edge, does not
+appear in the new equation. The convolution integral over each time step is computed by a quadrature of order 16. A step with a
+kink is split into intervals that become shorter towards the kink, from both sides. Between two times, the signal is
+approximated by the cubic polynomial with the values and derivatives at both times.
 """
 
 from collections.abc import Callable
@@ -251,7 +251,7 @@ class RoadResponse:
         return best, where + np.arange(len(c1))
 
     def at(self, values: Array, slopes: Array, steps: float) -> float:
-        """Returns the value of the cubic at a position, in steps from time 0."""
+        """Returns the value of the cubic at a position, which is given in steps from time 0."""
         k = min(int(steps), len(values) - 2)
         s, (c1, c2, c3) = steps - k, self._cubics(values[k : k + 2], slopes[k : k + 2])
         return float(values[k] + s * (c1[0] + s * (c2[0] + s * c3[0])))
@@ -278,8 +278,8 @@ def _finite(rates: Array) -> Array:
 def step_for(rate: float, share: float, end: float) -> float:
     """Returns a time step that is short enough for the fastest motion and for the road.
 
-    In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is shorter, down to an
-    eighth.
+    In one step, the phase of the fastest motion advances by `share`. If the road is short, the step is reduced to 1/200 of the
+    road's duration, but to no less than an eighth of its length.
 
     Args:
         rate: magnitude of the fastest pole [rad/s].

@@ -1,13 +1,13 @@
 """Search for the gain that minimises the goal and fulfils all bounds, from many starting points.
 
 - Starting points that make all loops stable are ranked. From a few of the best points, the search descends for some rounds.
-  From the best of the results, it descends until it converges.
+  From the best of the results, the search descends until it converges.
 - If the gain has no limit, it grows in stages, as in `synth.design.descent.growth`, as long as the decrease of the goal
   justifies the growth.
-- If the box of gain errors has few vertices, all of them are taken into account ("active"). Otherwise, only the worst errors
-  so far are active. Only the certificate proves that no error in the box is worse.
+- If the box of gain errors has few vertices, all vertices are taken into account ("active"). Otherwise, only the worst errors
+  found so far are active. Only the certificate proves that no error in the box is worse.
 - At every starting point and at the end of every descent, the search looks for errors that make a loop unstable. If no decay
-  rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with errors.
+  rate is required, the slowest pole must keep a tenth of the decay rate that the best starting point has with gain errors.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -28,8 +28,8 @@ from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
-LARGEST_GAIN = 1e5  # largest entry of a gain without a limit, as long as bounds are violated, in the units of a point
-# limit on the entries while a goal is lowered, as a multiple of the starting gain, or of one if the starting gain is smaller
+LARGEST_GAIN = 1e5  # limit on the entries of a point while bounds are violated, if the problem does not limit the gain
+# limit on the entries of a point while a goal is lowered; if the starting point has a larger entry, this entry is the limit
 DEAREST = 32.0
 MOST_VERTICES = 4  # if a box of gain errors has at most this many vertices, all vertices are active from the beginning
 ENTERED_STARTS = 5  # number of starting points from which the search makes a short descent
@@ -37,7 +37,7 @@ GLANCE, ROUNDS = 15, 80  # number of rounds in a short descent and in a full des
 TURNS = 12  # largest number of descents; before each descent, more gain errors become active
 TURNS_ON = 6  # number of short descents that `improvement` makes
 MET_TOLERANCE = 1e-6  # gain errors that worsen a value by less than this relative amount are ignored
-# A descent ends if the relative decrease is smaller than this. The first value is used while new gain errors still violate the
+# A descent ends if the relative decrease is smaller than this. The first value is used while new gain errors still worsen the
 # result, the second value for the final result
 ROUGHLY, CLOSELY = 1e-3, 1e-6
 SLOWER = 0.1  # if no decay rate is required, the result must keep this share of the best start's decay rate
@@ -84,7 +84,7 @@ class MinimaxSearch:
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
                 if self.settled == CLOSELY:
                     break
-                self.settled = CLOSELY  # no further gain error violates the result, so the result is now computed accurately
+                self.settled = CLOSELY  # no further gain error worsens the result, so the result is now computed accurately
                 continue
             self.incumbent = None  # the stored point was evaluated with fewer gain errors
             x, evaluation = self.nearest_stable_point(x)
@@ -221,7 +221,7 @@ class MinimaxSearch:
             self.minimax.limit = whole
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
-        """Returns the cost by which points are ranked. If the gain has no limit, the cost includes a penalty on its size."""
+        """Returns the cost by which points are ranked, which penalises the size of a gain that has no limit."""
         worth = price(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + worth)
 
@@ -294,7 +294,7 @@ class MinimaxSearch:
         return x, evaluation, refused and refused[0]
 
     def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
-        """Repeats the descent, each time in new coordinates, until it has no effect."""
+        """Repeats the descent, each time in new coordinates, until the objective hardly decreases."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
             if not self.rank(there) < self.rank(evaluation) * (1 - self.settled):
@@ -303,7 +303,7 @@ class MinimaxSearch:
         return x, evaluation
 
     def add_violating_errors(self, x: Array, evaluation: Evaluation) -> bool:
-        """Searches for gain errors that worsen the point, and activates these errors. Returns True if it finds such errors."""
+        """Searches for gain errors that worsen a goal or bound at a point, and activates them. Returns True if it finds any."""
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)

@@ -15,7 +15,7 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
 TURNS = 4  # largest number of passes over all gain errors
-NOT_STABLE = 1e6  # value that replaces a bound if the loop is unstable
+NOT_STABLE = 1e6  # upper limit on relative values, which replaces the infinite value of an unstable loop
 # Largest number of gain errors for which all vertices of the box are tried. With more errors, 2^8 random vertices are tried to
 # find the slowest pole
 CORNERS = 8
@@ -93,16 +93,16 @@ class WorstCaseErrors:
         return min(2 + real / rate, NOT_STABLE), errors
 
     def unstable(self, K: Array) -> list[GainErrors]:
-        """Returns, for each member that errors can make unstable, the worst errors."""
+        """Returns the worst errors of each member that errors can make unstable."""
         if not len(self.free):
             return []
         slowest_of = (self.slowest(i, K) for i in range(len(self.problem.members)))
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest real part of the poles that the gain can change [rad/s], over all errors tried, and these errors.
+        """Returns the largest real part of the poles that the gain can change [rad/s] for all tried errors, and the worst errors.
 
-        The value is infinite if a loop has no solution. For a discrete plant, the poles of its continuous counterpart are used.
+        The value is infinite if a loop is ill-posed. For a discrete plant, the poles of its continuous counterpart are used.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
         if count > CORNERS:
@@ -157,7 +157,7 @@ class WorstCaseErrors:
 def worst_of_norm(
     problem: MultiObjectiveProblem, i: int, norm: NormSpecification | None, unit: float, K: Array
 ) -> tuple[float, GainErrors]:
-    """Returns the largest value of a member that the search finds, and the errors that cause it.
+    """Returns the largest norm or decay term that the search finds for a member, and the errors that cause this value.
 
     Args:
         problem: multi-objective problem of the member.

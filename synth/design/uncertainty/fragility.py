@@ -35,7 +35,7 @@ def rounding(law: LinearLaw, closed: Callable[[LinearLaw], tuple[Plant, Feedback
     """Returns the certificates of a law whose coefficients are rounded to each of `FORMATS`.
 
     Args:
-        closed: function that returns, for a law, the plant with the states of the law and the gain.
+        closed: function that returns, for a law, the plant with the states of the law, and the gain that represents the law.
         plant: plant without the law's states.
     """
     return {to: certify_tightly(*closed(round_law(law, to)), plant_without_law=plant) for to in FORMATS}
@@ -91,7 +91,7 @@ class ErrorMargin:
         bound: proved bound on the norm for all errors up to `proved_margin`; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors found; infinite if no errors up to 1 are harmful.
         readings, forces: smallest harmful relative errors of measurements and forces, shapes (q,) and (m,). If no errors are
-            harmful, the values are 1 and -1 along the worst ray.
+            harmful, these are the errors of size 1 along the worst ray.
         proof: type of the proof; empty if nothing is proved.
     """
 
@@ -200,7 +200,7 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
     """Returns the smallest size of errors along the rays for which the norm exceeds a level, and these errors.
 
-    If the norm never exceeds the level, the size is infinite, and the errors are the end of the ray with the largest norm.
+    If the norm never exceeds the level, the size is infinite. The errors are then the end of the ray with the largest norm.
     """
     best, at = np.inf, None
     for ray in rays:
@@ -230,7 +230,7 @@ def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, l
 
 
 NOTHING = 1e-12  # a gain error smaller than this counts as zero
-# two norms count as equal if they differ by less than this relative amount, because the two methods for the norm differ as much
+# two norms count as equal if they differ by less than this relative amount, as the two methods for a norm differ by as much
 SAME = 1e-9
 
 
@@ -262,7 +262,7 @@ def record(
 
 
 def whose(report: Fragility) -> str:
-    """Names, as text, the quantities that have errors."""
+    """Returns the names of the quantities that have errors, as text."""
     return "measurements and forces" if len(report.stable.forces) > 1 else "measurements"
 
 

@@ -10,14 +10,14 @@ At a given frequency, the norm from w to z is therefore at most gamma if, for al
     |z|^2 - gamma^2 |w|^2 + q* D q - p* D p + j (p* G q - q* G p)  <=  0
 
 (Fan, Tits, Doyle 1991, Robustness in the presence of mixed parametric uncertainty and unmodeled dynamics, IEEE Transactions on
-Automatic Control 36). If the same form without w and z is negative at all frequencies, no pole crosses the imaginary axis. If
-the middle of the box is stable, the whole box is then stable.
+Automatic Control 36). If the same form without w and z is negative at all frequencies, no errors in the box move a pole across
+the imaginary axis. If the middle of the box is stable, the whole box is then stable.
 
 The proof divides the frequencies into intervals with constant D and G. Frequencies at which the form is singular show whether
 the form is negative in the whole interval, as in `structured_bound.py`. The proof needs no grid of frequencies and does not
-depend on how the multipliers were found. The number of unknowns grows with the number of errors, not with the number of corners
-of the box. Multipliers give tight bounds for constant errors. In contrast, a common X for all corners (`worst_case.py`) is also
-valid for errors that vary with time.
+depend on how the multipliers were found. The number of optimisation variables grows with the number of errors, not with the
+number of corners of the box. Multipliers give tight bounds for constant errors. In contrast, a common X for all corners
+(`worst_case.py`) is also valid for errors that vary with time.
 """
 
 from collections.abc import Callable, Sequence
@@ -102,7 +102,7 @@ class MultiplierForm:
         )
 
     def at(self, T: Array) -> Array:
-        """Returns the largest eigenvalue of the form for each frequency response in T, shape (F, d + k, r + k); shape (F,)."""
+        """Returns the largest eigenvalue of the form, shape (F,), for each frequency response in T, shape (F, d + k, r + k)."""
         W, L, R = self.weights
         adjoint = T.conj().swapaxes(-1, -2)
         across = adjoint @ L
@@ -111,7 +111,7 @@ class MultiplierForm:
         return np.linalg.eigvalsh(size[:, None] * M * size)[:, -1]
 
     def singular(self) -> Array:
-        """Returns all frequencies at which the form is singular [rad/s], in ascending order. Other frequencies may be included.
+        """Returns all frequencies at which the form is singular [rad/s], in ascending order, and possibly other frequencies.
 
         The frequencies are imaginary parts of eigenvalues of a Hamiltonian matrix, including eigenvalues off the imaginary axis.
         """
@@ -170,9 +170,9 @@ def fill(parts: Sequence[MultiplierInterval], low: float, high: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class MultiplierProof:
-    """Proof for all loops of a box, by intervals that cover a band.
+    """Proof of a bound for all loops of a box, by multipliers for intervals that cover a frequency band.
 
-    If the band contains all frequencies, it also proves stability.
+    If the band contains all frequencies, the proof includes stability.
 
     Attributes:
         low, high: lower and upper end of the band [rad/s].
@@ -206,12 +206,12 @@ class MultiplierProof:
 def bound_in_band(
     gain: ScaledGain, box: Box, low: float, high: float, first: float, tries: int = MOST_PEAKS
 ) -> MultiplierProof | None:
-    """Returns a proof of a bound for a whole box that is close to the largest norm in a band; None if no proof is found.
+    """Returns a proof of a bound for a whole box, close to the largest norm in a band; None if no proof is found.
 
     A bound for only some frequencies does not imply stability.
 
     Args:
-        gain: loops with factors, in continuous time. The loop at the middle of the box must be stable.
+        gain: loops with factors on measurements and forces, in continuous time; stable at the middle of the box.
         low, high: lower and upper end of the band [rad/s]; `high` may be infinite.
         first: first bound to try, just above the largest norm found.
         tries: number of bounds that are tried.
@@ -267,7 +267,7 @@ def cover(
         band: lower and upper end of the band [rad/s].
         step: length of the first interval that is tried [rad/s].
         multipliers: function that returns the smallest provable bound at a frequency and, if this bound is low enough, [D, G].
-        form: function that returns the form for [D, G], which must be negative.
+        form: function that returns the Hermitian form for the multipliers [D, G]; this form must be negative.
         most: largest number of intervals.
     """
     low, high = band
@@ -308,7 +308,7 @@ class _Search:
         return None if higher is None else higher[0]
 
     def form(self, found: Array, gamma: float) -> MultiplierForm:
-        """Returns the form of the multipliers [D, G]."""
+        """Returns the Hermitian form for the multipliers [D, G]."""
         D, G = np.split(found, 2)
         return MultiplierForm(self.loop, D, G, gamma**2)
 

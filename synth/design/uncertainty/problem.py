@@ -14,7 +14,7 @@ def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
     """Returns the loops of a law whose measurements and forces are multiplied by factors. The states of the law have no errors.
 
     Args:
-        plant: generalised plant with n states, m inputs and q measurements; continuous or discrete, as the law. Only a
+        plant: generalised plant with n states, m inputs and q measurements; continuous or discrete, like the law. Only a
             continuous plant may have Dyu.
         law: gain K of u = K y, shape (m, q), or a law with k states.
 

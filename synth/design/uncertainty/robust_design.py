@@ -1,10 +1,10 @@
 """D-K iteration: design of a law with better robust performance (smaller mu) than the law with the smallest norm.
 
 For a given law, the best scale of each error is a function of frequency. A stable first-order filter with a stable inverse
-approximates its magnitude where mu is large. If these filters are added at the inputs and outputs of the loop, its norm is an
-upper bound on mu. A design that minimises the norm lowers this bound (D-K iteration; Doyle 1985; Zhou, Doyle, Glover 1996,
-Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but alternating between them need not find
-the best law. Each law is evaluated by its own proved bound on mu, and the best law is kept.
+approximates the magnitude of this scale where mu is large. If these filters are added at the inputs and outputs of the loop,
+the norm of the loop is an upper bound on mu. A design that minimises the norm lowers this bound (D-K iteration; Doyle 1985;
+Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 11.4). Each of these two steps is nearly optimal, but alternating
+between them need not find the best law. Each law is evaluated by its own proved bound on mu, and the best law is kept.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ from synth.plant.state_space import StateSpace
 
 TURNS = 6
 WORTH = 2e-3  # the iteration ends if the bound decreases by less than this relative amount
-STEEP = 4  # in the fit of a filter, a frequency has the weight mu to this power
+STEEP = 4  # in the fit of a filter, the weight of a frequency is mu to this power
 
 
 def mu(problem: DesignProblem, progress: Progress) -> DesignResult:

@@ -5,12 +5,12 @@ mu(M) is at most the largest singular value of D M D^-1 (Doyle 1982; Packard, Do
 Automatica 29). A loop stays stable for all errors smaller than 1 / mu. With the performance block, mu <= gamma also means that
 the norm from w to z is at most gamma for all errors of size 1 / gamma.
 
-The proof is the same as in `multipliers.py`, for errors of size 1 / gamma. There, D contains the squares of the scales, and G
-is 0 because errors that depend on frequency have a phase. If no scales give a value below the level at some frequency, the
-level is too low, and a higher peak is near this frequency.
+The proof is the same as in `multipliers.py`, for errors of size 1 / gamma. In this proof, D contains the squares of the scales,
+and G is 0 because errors that depend on frequency have a phase. If no scales give |D M D^-1| < gamma at some frequency, gamma
+is too low, and a higher peak is near this frequency.
 
 The largest singular value is a convex function of the logarithms of the scales. The Schatten norm of the matrix is also convex,
-and it is smooth. As its power grows, this norm tends to the largest singular value.
+and it is smooth. As the exponent of the Schatten norm grows, this norm tends to the largest singular value.
 """
 
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class StructuredBound:
 
 
 def _form(structured: StructuredLoop, gamma: float, D: Array) -> MultiplierForm:
-    """Returns the form that is negative if the scales, whose squares are D, prove a bound."""
+    """Returns the Hermitian form that is negative if the scales, whose squares are D, prove a bound."""
     return MultiplierForm(structured, D, np.zeros_like(D), gamma**2, gamma**2)
 
 

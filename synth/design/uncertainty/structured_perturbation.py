@@ -25,7 +25,7 @@ from synth.plant.state_space import StateSpace
 # a norm counts as equal to the inverse of the size of the errors if their relative difference is smaller than this
 EQUALITY_TOLERANCE = 1e-9
 STARTS, ITERATIONS = 12, 80
-# frequencies that replace 0 and infinity, relative to the poles, because an error has no phase at 0 and infinity
+# frequencies used instead of 0 and infinity, where an error has no phase, as multiples of the slowest and fastest pole
 SLOW, FAST = 1e-4, 1e4
 BEYOND = (
     0.0,
@@ -116,14 +116,14 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     rows, q = slice(None, -k) if structured.performance else slice(None), M.Dw[-k:]
     if np.linalg.cond(np.eye(k) - E.D @ q[:, -k:]) > 1e12:
         return None
-    # The errors are a law from the last outputs, as measurements, to the last inputs.
+    # The errors act like a control law from the last outputs to the last inputs.
     plant = Plant(M.A, M.Bw[:, -k:], M.Bw[:, rows], M.C[rows], M.Dw[rows, -k:], M.Dw[rows, rows])
     plant = replace(plant, Cy=M.C[-k:], Dyu=q[:, -k:], Dyw=q[:, rows])
     return closed_by(plant, LinearLaw(E.A, E.B, E.C, E.D))
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
-    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if nothing is known."""
+    """Returns the norm of a loop; infinite if the loop is not stable, and 0 if there is no loop or no performance block."""
     if closed is None:
         return 0.0
     if not is_stable(closed.A):

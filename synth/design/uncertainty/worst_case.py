@@ -6,7 +6,7 @@ The matrix X that proves the bound is found by Newton's method on a barrier func
 
 In the coordinates of this problem, the first X is I. If t is below zero, X proves the bound. Usually, only a few corners of the
 box determine the bound. The search starts with some corners, and adds the corners at which the current X violates (20). If no X
-is found, the box is divided into parts, each with its own X. If this does not prove a tight bound, multipliers
+is found, the box is divided into parts, each with its own X. If this division does not prove a tight bound, multipliers
 (`multipliers.py`) are tried, because a common X is conservative for constant errors.
 """
 
@@ -56,7 +56,7 @@ class WorstCaseNormFunction:
     def exceeds(self, factors: Array, level: float) -> bool:
         """Returns True if the norm exceeds a level or, for an infinite level, if the loop is unstable.
 
-        The largest norm is not updated.
+        The stored largest norm is not updated.
         """
         try:
             point = self.landscape.point(self.gain.acting(factors))
@@ -246,7 +246,7 @@ def _trials(heights: WorstCaseNormFunction) -> int:
 
 
 def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
-    """Proves a bound for a box, just above the largest norm found. Larger norms that are found in the process are stored."""
+    """Proves, for a box, a bound just above the largest norm found. Larger norms that are found in the process are stored."""
 
     def tried(above: float, parts: Parts, left: int) -> tuple[Parts | None, int]:
         return _prove_parts(heights, parts, lambda: heights.highest * (1 + above), left)
@@ -412,7 +412,7 @@ def worst_norm(
         d: largest relative error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
         e: largest relative error of all forces, or of each force, shape (m,).
         Dyw: direct effect of w on the measurements, shape (q, r). Default: zero if Cy is given, otherwise the Dyw of the plant.
-        through: direct effect of the forces on the measurements, shape (q, m); Default: zero.
+        through: direct effect of the forces on the measurements, shape (q, m); zero by default.
         enough: a bound that is sufficient. If the proved bound is larger, a separate proof of this bound is tried. None if
             there is no such bound.
 
