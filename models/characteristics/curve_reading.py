@@ -312,7 +312,7 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         force: forces of the table [N], shape (n,).
         over: argument of the characteristic.
         preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at deflection 0 of the table.
-        alone: False if the characteristic is a sum of several tables, so that this table may belong to a stop that acts only on
+        alone: False if the characteristic is a sum of several tables. This table may then belong to a stop that acts only on
             one side of equilibrium.
     """
     if preload:

@@ -208,8 +208,8 @@ def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is equal for all paths of the same file or folder: links, hard links, and names that differ only in
-    upper and lower case.
+    """Returns a value that is equal for all paths of the same file or folder. Such paths are links, hard links, and names that
+    differ only in upper and lower case.
     """
     try:
         status = path.stat()

@@ -143,8 +143,8 @@ class NumberTable:
             gaps: True if cells may be missing, as in `MISSING`; they become NaN.
 
         Raises:
-            InputError: a cell is not a finite number, a line does not have as many cells as the first line of numbers, or
-                decimal and thousands marks are ambiguous.
+            InputError: a cell is not a finite number, a line has more or fewer cells than the first line, or decimal and
+                thousands marks are ambiguous.
         """
         used = columns or range(self.count)
         lines, values, marked, integers, thousands = array("Q"), array("d"), dict[str, str](), False, True

@@ -5,7 +5,7 @@ force -c v. A law requests c. The damper clips c to its limits and holds it unti
 but the force is always computed with the present v. If a law requests a force F of the whole damper, for example the force of a
 damper between body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
 
-Source of the laws' names, and of laws for which no other source is given: Savaresi, Poussot-Vassal, Spelta, Sename,
+Source of the laws' names, and of laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename,
 Dugard, Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 

@@ -79,8 +79,8 @@ class Batch:
             r); None if there are none.
         effects: effects of the loads on the signals at the samples and on the measurements, see `RoadInput.in_signals`; None if
             there are no loads.
-        sides: for each sample at a vertical edge of the road, the road heights on the side of the edge that `now` does not
-            contain [m], shape (N, r) each, by index of the sample.
+        sides: road heights [m] at vertical edges of the road, on the side that `now` does not contain, shape (N, r) each, by
+            index of the sample.
         failures: failures of Python control laws, by run. A run with a failed law continues without forces. If `failures` is
             None, the first failure is raised as an error.
         numbers: index of each run among all cases; the keys of `failures`.

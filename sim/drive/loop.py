@@ -58,8 +58,8 @@ class Block:
         measured: signals at the samples of the controllers, before noise and quantisation, followed by the closing velocities,
             shape (B, N, s); NaN at other time steps.
         names: names of the signals and closing velocities in `measured`, in the order of its last axis.
-        others: for each sample at a vertical edge of the road, the signals on the other side of the edge, by index of the
-            sample, shape (S, N) each.
+        others: signals on the other side of each vertical edge of the road, by index of the sample at the edge, shape (S, N)
+            each.
     """
 
     start: int

@@ -56,8 +56,8 @@ class Response(ShownResult):
         time: sample times [s], shape (T,).
         signals: the S signals, with their units, in the order of the last axis of `values`.
         values: values of the signals, shape (..., T, S). Leading axes are runs.
-        before: values just before decisions (`sim.drive.jumps`), and values on the other side of each vertical edge of the
-            road, by name of the signal, shape (..., T) each. Only signals that jump are included.
+        before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name
+            of the signal, shape (..., T) each. Only signals that jump are included.
 
     Raises:
         InputError: the shapes of the arrays are inconsistent.

@@ -244,8 +244,8 @@ def _passes_through(vehicle: Vehicle, physics: Response) -> bool:
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """Returns the intervals in which any tyre is off the ground, each as the times of its first and last sample [s], in order
-    of their starts.
+    """Returns the intervals in which any tyre is off the ground, ordered by time, each as the times of its first and last
+    sample [s].
     """
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):

@@ -45,8 +45,8 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
         integrated: matrix S, shape (j, q); None if there are no integrals.
 
     Returns:
-        For each row of S whose integral the law contains: the index of the law's state that holds this integral, and the ratio
-        of this state to the integral.
+        For each row of S whose integral the law contains: the index of the law's state that holds it, and the ratio of state to
+            integral.
     """
     states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):

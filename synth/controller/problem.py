@@ -92,8 +92,8 @@ class Problem:
     Attributes:
         plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are the loads, followed
             by the measurement noises.
-        forces: measured forces without lag, which do not depend on the state; for each of them, the index of the measurement
-            and the index of its input.
+        forces: measured forces without lag, which do not depend on the state: the index of each measurement, and the index of
+            its input.
         integrated: factors with which the measurements enter each measured integral, shape (j, q - j). The integrals are the
             last j measurements. None if no integral is measured.
         integrals: indices of the states of the plant that are integrals.

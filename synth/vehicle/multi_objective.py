@@ -229,8 +229,8 @@ def verify_specifications(
             additional designs.
 
     Raises:
-        DesignError: `search` is True, but no gain satisfies the bounds for one of the vehicles in the family, even if the
-            gain is designed for this vehicle only.
+        DesignError: `search` is True, but for one vehicle of the family no gain satisfies the bounds, even if it is designed
+            for this vehicle only.
     """
     problem = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:

@@ -261,7 +261,7 @@ def midpoints(values: Array) -> Array:
 
 
 def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns two sets of parameters: in the first, one parameter is larger by a step; in the second, it is smaller by the
+    """Returns two sets of parameters. In the first, one parameter is larger by a step; in the second, it is smaller by the
     step, but not below zero.
     """
     return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}

@@ -42,8 +42,8 @@ class StepMetrics:
         peak_time: time of the peak [s].
         overshoot: excess of the peak over the final value, relative to the final value. If the final value is zero: largest
             value of the opposite sign after the peak, relative to the peak.
-        settling_time: time from which the error stays within the band until the end of the run [s]; None if the error does not
-            stay within the band.
+        settling_time: time from which the error stays within the band until the end of the run [s]; None if there is no such
+            time.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error never leaves the band.
         iae: integral of the absolute error over the run [unit of the signal times s].
         itae: integral of the time multiplied by the absolute error [unit of the signal times s2].

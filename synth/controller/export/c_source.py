@@ -162,8 +162,8 @@ class CSource:
         return "\n".join([f'#include "{self.p}.h"\n#include "{self.p}_data.h"\n', text, self._init(), self._step()])
 
     def template(self, name: str, **words: str) -> str:
-        """Returns the text of a file in the folder `c`, with `PREFIX` replaced by the name of the law, and each key of `words`
-        by its value.
+        """Returns the text of a file in the folder `c`. `PREFIX` is replaced by the name of the law, and each key of `words` by
+        its value.
         """
         own = {"PREFIX": self.p, **words}
         return re.sub("|".join(own), lambda found: own[found[0]], (HERE / name).read_text(encoding="utf-8"))
