@@ -401,8 +401,8 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Adds section and key to the message of an InputError: in place of `HERE` if the message contains it, otherwise at the
-    beginning.
+    """Adds section and key to the message of an InputError: they replace `HERE` if the message contains it, and precede the
+    message otherwise.
     """
     try:
         yield

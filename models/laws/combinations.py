@@ -184,16 +184,16 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
             raise error(f"{where}: {written} cannot be combined with {option}: {why}; omit {option} or {written}")
 
 
-def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a text that names a part and the options with which this part can be combined, instead of `beside`.
+def _with_partners(part: str, other: str, written: str) -> str:
+    """Returns a text that names a part and the options with which this part can be combined, instead of `other`.
 
     Args:
         part: part to describe.
-        beside: part with which `part` cannot be combined.
+        other: name of the part with which `part` cannot be combined.
         written: the part as written in the section.
     """
-    if {part, beside} <= KINDS.keys():
+    if {part, other} <= KINDS.keys():
         return written
-    names = KINDS if beside in KINDS else DEMANDS
+    names = KINDS if other in KINDS else DEMANDS
     partners = [name.replace("`", "") for one, name in names.items() if one != part and not refusal(part, one)]
     return f"{written} (works with {', '.join(partners)})" if partners else written

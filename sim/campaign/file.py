@@ -96,8 +96,7 @@ class Campaign:
         settle: duration of the initial part of a run that is not measured [s], for random roads. Runs over other roads are
             measured from the start.
         timestep: timestep of the simulation [s].
-        samples: for each vehicle, samples of its parameters, with values [SI] by name; a single empty sample if nothing is
-            sampled.
+        samples: sampled parameters of each vehicle, with values [SI] by name; a single empty sample if nothing is sampled.
         variants: variants of each law with sampled parameters, by vehicle and controller; a variant maps keys of the law to
             values.
         sample_seed: seed of the random numbers from which samples and variants are drawn.

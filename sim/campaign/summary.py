@@ -96,9 +96,9 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     """Returns one entry per vehicle, road, speed and controller, over all variants, samples and seeds.
 
-    For each metric of `headlines`, the entry contains the name of the worst column. It also contains the root mean square and
-    95th percentile of this column over the runs. The entry also contains the root mean square of the prediction for the same
-    runs. The prediction is the expected value for random roads, and the linear response for other roads. Laws in Python have no
+    For each metric of `headlines`, the entry contains the name of the worst column. The root mean square and 95th percentile of
+    this column over the runs follow. The entry also contains the root mean square of the prediction for the same runs. The
+    prediction is the expected value for random roads, and the linear response for other roads. Laws in Python have no
     prediction.
 
     A run has left the linear regime if a tyre lifted off, a stop was reached, an actuator saturated, or the run was aborted.

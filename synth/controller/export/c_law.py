@@ -151,8 +151,7 @@ def exported_law(
         name: prefix of all names in the C code.
         ranges: largest magnitude of each measurement for fixed-point code, by name. Measurements with a proved peak may be
             omitted.
-        sources: for each range that the user did not give, a text that states how the range was found, by name of the
-            measurement.
+        sources: texts that state how ranges were found that the user did not give, by name of the measurement.
 
     Raises:
         InputError: the controller is a Python law or an FMU, has no sample period although it needs one, or controls dampers
