@@ -1,4 +1,4 @@
-"""Measured characteristics: forces over velocity and deflection, motion ratios over travel, and their tables in files."""
+"""Measured characteristics: forces against velocity and deflection, motion ratios against travel, and their tables in files."""
 
 STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of bump stops in vehicle files
 STOP = "stop"  # other name of the key `stop_stiffness`, which is used for tables and files

@@ -14,7 +14,7 @@ If the damper has characteristics instead of c_min and c_max, c = clip(c_s - u* 
 At each sample of the controller, the coefficient is computed from the velocity, and then held until the next sample. If v is 0
 but u* is not 0, v counts as slightly negative. If v and u* are 0, the damper has the nominal coefficient.
 
-The limits can also be measured characteristics: the force over velocity at the softest setting, F_min, and at the firmest
+The limits can also be measured characteristics: the force against velocity at the softest setting, F_min, and at the firmest
 setting, F_max (`models.parts`). At the valve setting s, a number from 0 (softest) to 1 (firmest), the damper pulls with the
 force
 
@@ -170,7 +170,7 @@ class Damper:
 
 
 def _coefficient(setting: str, low: float) -> ReadBy:
-    """Returns the declaration of the key that gives a damper's coefficient, or its table of force over velocity, at one
+    """Returns the declaration of the key that gives a damper's coefficient, or its table of force against velocity, at one
     setting.
     """
     number = SI("N s/m", f"coefficient at the {setting} setting, or the table of its force", low)

@@ -1,4 +1,4 @@
-"""Piecewise linear characteristics: a damper's force over velocity, or a spring's force over deflection.
+"""Piecewise linear characteristics: a damper's force against velocity, or a spring's force against deflection.
 
 Velocity and deflection are positive if the suspension extends. A force is positive if it pulls body and wheel together, so a
 damper dissipates energy if force and velocity have the same sign. Outside the range of its points, a characteristic is
@@ -72,7 +72,7 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class ForceCurve:
-    """Force over velocity or deflection.
+    """Force against velocity or deflection.
 
     Attributes:
         x: points [m/s or m], ascending, including 0 between the first and the last point, shape (n,).

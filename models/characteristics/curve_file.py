@@ -260,7 +260,7 @@ def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Hea
 
 
 def _of_ratio(text: str) -> dict[str, Any]:
-    """Returns a table of a motion ratio over travel in SI units, positive in extension."""
+    """Returns a table of a motion ratio as a function of travel in SI units, positive in extension."""
     table = find_table(text, "give a .csv file with a header such as deflection [mm], ratio")
     headings = table.headings([QUANTITIES["deflection"].si])
     ratios = [one for one in headings if RATIO in one.words]

@@ -1,4 +1,4 @@
-"""`[curves]` of a vehicle file: tables of damper force over velocity, or of spring force over deflection.
+"""`[curves]` of a vehicle file: tables of damper force against velocity, or of spring force against deflection.
 
 The tables are checked, and approximated by tables with fewer points.
 """
@@ -201,7 +201,7 @@ class DamperTable(CurveTable):
 
 @dataclass(frozen=True)
 class SurfaceTable(Section):
-    """Force of a damper over velocity and deflection."""
+    """Force of a damper as a function of velocity and deflection."""
 
     hints: ClassVar[Mapping[str, str]] = dict.fromkeys(FRICTION, ALONE)
 
@@ -440,7 +440,7 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
 
 
 def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
-    """Returns the force of a damper over velocity and deflection from the table in the section."""
+    """Returns the force of a damper as a function of velocity and deflection from the table in the section."""
     given = read(where, SurfaceTable, entry)
     v, d, table = np.array(given.velocity), np.array(given.deflection), np.array(given.force)
     with error_in(f"{where}:"):

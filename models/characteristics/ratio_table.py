@@ -29,7 +29,7 @@ PLACES = 9  # the deflections of a table's points are rounded to this number of 
 
 @dataclass(frozen=True, eq=False)
 class RatioTable:
-    """Motion ratio over the deflection of a suspension.
+    """Motion ratio as a function of the deflection of a suspension.
 
     Attributes:
         x: deflections [m], ascending, with 0 between the first and the last, shape (n,).
@@ -154,7 +154,7 @@ def line(slope: float, low: float, high: float) -> ForceCurve:
 
 @dataclass(frozen=True)
 class RatioSection(TableSection):
-    """Section with the table of a motion ratio over travel."""
+    """Section with the table of a motion ratio as a function of travel."""
 
     arguments: ClassVar[tuple[str, ...]] = (DEFLECTION.name,)
     of: ClassVar[str] = RATIO

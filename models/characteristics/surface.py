@@ -1,4 +1,4 @@
-"""A damper's force over velocity v and deflection d, as a table with bilinear interpolation.
+"""A damper's force as a function of velocity v and deflection d, as a table with bilinear interpolation.
 
 Velocity and deflection are positive in extension, as in `models.characteristics.curve`. Outside its range of velocities, the
 table is extrapolated linearly with the slopes at its ends. Outside its range of deflections, the table keeps the values of its
@@ -24,7 +24,7 @@ NODES, WIDTH = 400, 6.0
 
 @dataclass(frozen=True, eq=False)
 class ForceSurface(ForceCurve):
-    """Force over velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at deflection 0.
+    """Force against velocity and deflection. Where a `ForceCurve` is expected, this object represents the force at deflection 0.
 
     Attributes:
         velocities: velocities u of the table [m/s], ascending, with 0 between the first and the last, shape (n,).

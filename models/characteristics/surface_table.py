@@ -1,4 +1,4 @@
-"""CSV files of a damper's force over velocity and deflection, in two forms.
+"""CSV files of a damper's force against velocity and deflection, in two forms.
 
 A sheet has deflections in its first row and velocities in its first column. The first cell of a sheet contains the quantities
 and units: `velocity [mm/s] / deflection [mm] / force [N]`. A list has a column for each quantity, and a row for each pair of

@@ -1,4 +1,4 @@
-"""`[curves]` of a vehicle file: characteristics of springs and dampers, and motion ratios over travel.
+"""`[curves]` of a vehicle file: characteristics of springs and dampers, and motion ratios as a function of travel.
 
 Each entry has the name of the parameter that it replaces.
 """
@@ -53,7 +53,7 @@ def curves_and_parameters(
 
 
 def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTable]:
-    """Returns the motion ratios over travel in `[curves]`, by parameter."""
+    """Returns the motion ratios as a function of travel in `[curves]`, by parameter."""
     names = {part.ratio for part in kind.suspensions} & {*section}
     if not names:
         return {}

@@ -1,4 +1,4 @@
-"""Damper with a characteristic of force over velocity: `[curves] suspension_damping`."""
+"""Damper with a characteristic of force against velocity: `[curves] suspension_damping`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -354,7 +354,7 @@ class SuspensionPart:
 
     @property
     def surface(self) -> "ForceSurface | None":
-        """The characteristic of a damper over velocity and deflection; None if the force has only one argument."""
+        """The characteristic of a damper against velocity and deflection; None if the force has only one argument."""
 
         curve: Any = self.part.curve
         return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None

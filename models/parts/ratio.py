@@ -24,7 +24,7 @@ from models.common.arrays import Array
 from models.parts.native import Tendon
 from models.parts.part import CURVE, Limit, Line, Number, Part
 
-FINE = 801  # number of points of a spring's characteristic over travel
+FINE = 801  # number of points of a spring's characteristic as a function of travel
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class AtRatio(Part):
 
     Attributes:
         part: part before the motion ratio is applied, in terms of its own travel and force.
-        table: the motion ratio over travel, or `Constant`.
+        table: the motion ratio as a function of travel, or `Constant`.
         scale: factor on the ratios of the table.
         load: load W that the part carries at the wheel in equilibrium [N].
     """
@@ -211,7 +211,7 @@ class Sum(Part):
 
 
 def together(parts: Sequence[Part]) -> Part | None:
-    """Combines parts with the same motion ratio over travel into one part, so that the ratio is evaluated only once.
+    """Combines parts with the same motion ratio as a function of travel into one part, so that the ratio is evaluated only once.
 
     Returns None if the motion ratios differ.
     """

@@ -1,4 +1,4 @@
-"""Spring with a characteristic of force over deflection: `[curves] suspension_stiffness`."""
+"""Spring with a characteristic of force against deflection: `[curves] suspension_stiffness`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Damper whose force is a table over velocity and deflection, as given by `[curves] suspension_damping`."""
+"""Damper whose force is a table of velocity and deflection, as given by `[curves] suspension_damping`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

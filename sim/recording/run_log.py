@@ -44,7 +44,7 @@ class RunLog:
             name.
         other_signals: signals outside the responses, by topic: loads on the body, forces of dampers and springs, and a measured
             log.
-        diagrams: diagrams of damper and spring forces over velocity or deflection.
+        diagrams: diagrams of damper and spring forces against velocity or deflection.
         active: names of the controller's states, sorted by their contribution to the force, the largest first. Viewers show
             only the first few states.
     """

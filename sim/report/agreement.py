@@ -40,7 +40,7 @@ NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
 def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure | None:
-    """Returns a figure of force over velocity for nonlinear and semi-active dampers, and over deflection for nonlinear springs.
+    """Returns a figure of force against velocity for nonlinear and semi-active dampers, and against deflection for springs.
 
     Returns None if the vehicle has only linear springs and dampers.
     """

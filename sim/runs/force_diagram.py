@@ -1,4 +1,4 @@
-"""Damper and spring diagrams: the force of a suspension over velocity or deflection, with its characteristic or limits."""
+"""Damper and spring diagrams: the force of a suspension against velocity or deflection, with its characteristic or limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Diagram:
-    """Diagram of a force over the velocity or deflection on which it depends (its argument).
+    """Diagram of a force against the velocity or deflection on which it depends (its argument).
 
     Attributes:
         title: title with the name of the parameter and its place.

@@ -55,7 +55,7 @@ class OfSides(Key):
 
 @dataclass(frozen=True)
 class StopStiffness(Key):
-    """A stiffness, a list of up to three coefficients, or a table of force over compression."""
+    """A stiffness, a list of up to three coefficients, or a table of force against compression."""
 
     meaning: str = ""
     unit: str = "N/m"

@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # a force below this share of the largest force of its table co
 
 @dataclass(frozen=True)
 class StopTable:
-    """Table of the force of a stop over compression. The force is interpolated linearly, and extrapolated with the last slope.
+    """Table of the force of a stop against compression. The force is interpolated linearly, and extrapolated with the last slope.
 
     Attributes:
         compression: compression of the stop or of the suspension, ascending [m].
@@ -56,7 +56,7 @@ class StopTable:
 
     @cached_property
     def curve(self) -> "ForceCurve":
-        """The table of the force over the compression of the stop; the force is 0 before the first point."""
+        """The table of the force against the compression of the stop; the force is 0 before the first point."""
         from models.characteristics.curve import ForceCurve
         from models.characteristics.curve_reading import as_lines
 
@@ -70,7 +70,7 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     side.
 
     Args:
-        table: table over the compression of the stop or, without a stroke, of the suspension.
+        table: table against the compression of the stop or, without a stroke, of the suspension.
         sign: sign of the deflection on this side.
         stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
 
