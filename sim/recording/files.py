@@ -16,7 +16,7 @@ from models.common.files import made_folder
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
 
-SUFFIXES = {"mcap": "mcap"} | {name: texts[0] for name, texts in RECORDINGS.texts.items()}
+SUFFIXES = {"mcap": "mcap"} | {name: "".join(texts) for name, texts in RECORDINGS.texts.items()}
 Stem = Annotated[
     str,
     Must(
