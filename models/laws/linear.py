@@ -23,8 +23,8 @@ LARGEST = 1e15  # largest magnitude of an entry of a law's matrices; with larger
 # A growth rate below this share of the state matrix's largest entry counts as a rounding error, as for the poles of a double
 # integrator
 ROUNDING = 1e-7
-# Smallest relative singular value of an algebraic loop through the measurements; below this value, no digit of the result is
-# reliable
+# Smallest allowed relative singular value of the matrix of an algebraic loop through the measurements; below this value, no
+# digit of the result is reliable
 SINGULAR = 1e-12
 
 

@@ -152,7 +152,7 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
     `rounds` is True for exported code in fixed-point arithmetic.
     """
     failed, gains, norm = [], one.gains, one.extremes.worst.gain
-    # The lower the road, the smaller the effect of rotations, so the response over the lower road determines the result.
+    # A road with a smaller amplitude causes smaller rotations, so the response over this road determines the result.
     off, allowed, signal, coarse = _off(one.lines if one.small is None else one.small)
     if not off <= allowed:
         why = "; the timestep is too coarse, give a smaller timestep" if coarse and not rounds else ""

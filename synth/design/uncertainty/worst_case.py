@@ -232,7 +232,7 @@ MANY = 6  # with more errors than this, finding multipliers takes less time than
 # Factors on the number of attempts to find an X. `PATIENT` is for a bound that the user requests, `CHEAPLY` for each bound if
 # many bounds are computed
 PATIENT, CHEAPLY = 4.0, 1 / 3
-SPARE = 1e-2  # share of the distance between the bound and the norm that is kept as a margin for the first X
+SPARE = 1e-2  # margin for the first X, relative to the distance between the bound and the norm
 FAR = 1e4  # bound for a loop that need only be stable, as a multiple of the norm
 EVERYWHERE = 1e-4  # power of the disturbance that is added to all states for the first X, relative to the power of w
 
