@@ -387,7 +387,7 @@ class VehicleKind(CheckedFields):
         for i, one in enumerate(names_of(of_parts)):
             if one in taken or one in names_of(of_parts)[:i]:
                 raise InputError(
-                    f"[parts] an element has the state {one!r}, which is the name of another signal; rename the section"
+                    f"[parts] an element has the state {one!r}, which is already the name of a signal; rename the section"
                 )
         return self if of_parts == self.of_parts else replace(self, signals=(*others, *of_parts), of_parts=of_parts)
 
@@ -447,12 +447,12 @@ class VehicleKind(CheckedFields):
             if part.ratio not in self.ratios or part.stiffness not in parameters:
                 continue
             if part.deflection not in loads:
-                raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add its load")
+                raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add this load")
             rate = -self.ratios[part.ratio].relative_slope * loads[part.deflection]
             if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
                 raise InputError(
-                    f"springs of {part.stiffness} carry different loads, so {part.ratio} over travel gives them different "
-                    "wheel rates; give each suspension its own parameter"
+                    f"suspensions that share {part.stiffness} carry different static loads, so {part.ratio} over travel "
+                    "gives them different wheel rates; give each suspension its own parameter"
                 )
         return rates
 

@@ -66,7 +66,7 @@ class Sample:
 
     def __getitem__(self, signal: str) -> Any:
         if signal not in self._index:
-            raise InputError(f"it does not measure {short_repr(signal)}; its measured signals are {', '.join(self._index)}")
+            raise InputError(f"the controller does not measure {short_repr(signal)}; it measures {', '.join(self._index)}")
         return self.y[..., self._index[signal]]
 
 
@@ -136,7 +136,7 @@ class OwnLaw:
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
-            raise InputError(f"it returns {_short(given)}, not two values; end the function with: return force, state")
+            raise InputError(f"the law returns {_short(given)}, not two values; end its function with: return force, state")
         force, self._state = given
         check_unmasked("its force", force)
         forces = np.asarray(force)

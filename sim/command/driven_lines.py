@@ -98,7 +98,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
     for count in range(len(runs), 0, -1):
         rest = f", {len(runs) - count} controllers" if count < len(runs) else ""
         one = checks_table(runs[:count])
-        more = f"not shown (--controller NAME -v, or --json): gains, every signal{rest}"
+        more = f"shown only with --controller NAME -v, or --json: gains, every signal{rest}"
         lines = ["", *table_lines(one), *wrap_text(one.caption, GAP, len(GAP)), *fit_lines([more])]
         if len(fit_lines(others)) + len(lines) <= DETAIL_LINES:
             break

@@ -71,7 +71,7 @@ def _describe_together(runs: Sequence[InspectedRun]) -> Document:
     ]
     shared = (*verdicts(again), *share_statements(findings))
     tables = [replace(checks_table(again), detail="normal")] * bool(again)
-    more = "not shown (--json): gains, signals and the text of every finding that holds"
+    more = "shown only with --json: gains, signals and the text of every finding that holds"
     return Document("", (*shared, *tables, *notes(*(one.caption for one in tables), more)))
 
 

@@ -52,7 +52,7 @@ def _parser() -> Parser:
         "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )
     parser.add_argument(
-        "--one-page", action="store_true", help="write only the comparison over the road (default: class C) on one page of A4"
+        "--one-page", action="store_true", help="write one A4 page with only the comparison over the road (default: class C)"
     )
     parser.add_argument("--quick", action="store_true", help="omit margins, map and ride; takes a few seconds instead of 20 s")
     parser.add_argument(

@@ -78,7 +78,7 @@ ADDED = {
         ('order = "half"', "order = 'half' is unknown; give one of full"),
         ('design = "lqr"', 'design = "lqr" uses the full state'),
         ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "static gain has no states that can wind up"),
-        ('design = "preview"', "needs the time for which it knows the road ahead; give it in seconds, as in preview = 0.5"),
+        ('design = "preview"', "needs a preview time, the range of the road sensor divided by the speed; give it in seconds"),
         ('design = "preview"\npreview = 0.5', 'design = "preview" uses the full state'),
         ("preview = 1.0", "preview needs a law in Python or design"),
         *((f'law = "{law}"', "is not a law in Python") for law in ("../mine.py:step", "/etc/mine.py:step", "mine.py")),
@@ -195,7 +195,7 @@ ADDED = {
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
         (
             "stop = { compression = [0.02, 0.03], force = [0, 500] }\nsuspension_stroke = 0.07",
-            "has a gap of 0.02 m, but suspension_stroke is 0.07 m; omit one",
+            "has a gap of 0.02 m, but suspension_stroke is 0.07 m; omit one of these gaps",
         ),
         (
             "stop = { compression = [0, 0.01], force = [0, 500] }",
@@ -203,10 +203,10 @@ ADDED = {
         ),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, -1] }", "bump: its table pulls with 1 N at 0.03 m"),
         ("stop = { compression = [0.01, 0.02, 0.03], force = [0, 500, 400] }", "its table ends with a falling force, 400 N"),
-        ("stop = { compression = [0.01, 0.02], force = [0, 0] }", "has a table without a force that resists bump or rebound"),
-        ("stop = { compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give m, not mm"),
+        ("stop = { compression = [0.01, 0.02], force = [0, 0] }", "has a table in which every force is 0"),
+        ("stop = { compression = [10, 20], force = [0, 500] }", "at most 5 m is allowed; give values in m, not in mm"),
         ("stop = { compression = [0.01, 0.02], force = [0, 500] }\nstop_stiffness = 3", "two names of one key; omit one"),
-        ("stop = 1e5", "make a bump stop together"),
+        ("stop = 1e5", "a bump stop needs both"),
         ('actuator_bandwidth = 1.0\nlimit = "command"', "limit = 'command', but no actuator_force; give actuator_force [N]"),
     ],
 }

@@ -66,7 +66,7 @@ class Hysteretic(Part):
             raise InputError(f"beta + gamma = {b + g:g} is not allowed; give a sum above 0, which limits the force")
         if (most := self.largest_voltage) is None:
             if self.bandwidth is not None:
-                raise InputError("bandwidth has no effect on a constant voltage; omit bandwidth, or give largest_voltage")
+                raise InputError("bandwidth acts only on a voltage that changes; give largest_voltage, or omit bandwidth")
             return
         if self.voltage > most:
             raise InputError(
