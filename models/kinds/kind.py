@@ -596,7 +596,7 @@ class VehicleKind(CheckedFields):
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze <= 0:
-                raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move the masses between the wheels")
+                raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move mass towards this wheel")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m (weight over tyre stiffness), but at most {MOST_SQUEEZE} m is "

@@ -149,9 +149,9 @@ class OwnLaw:
         # For a single actuator, a law may return a number instead of an array
         scalar = shape[-1] == 1 and forces.shape == shape[:-1]
         if forces.shape != shape and not scalar:
-            raise InputError(f"its force has shape {forces.shape}; expected {shape}, one number for each actuator")
+            raise InputError(f"the returned force has shape {forces.shape}; expected {shape}, one number for each actuator")
         if not np.all(np.isfinite(forces)):
-            raise InputError("its force is not finite")
+            raise InputError("the returned force is not finite")
         return forces.reshape(shape)
 
     def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:

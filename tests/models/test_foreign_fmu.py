@@ -108,7 +108,7 @@ def test_it_drives_as_its_law_does(version, tmp_path):
     [
         ("discard", r"^controller 'theirs', FMU their.fmu: fmi2DoStep failed with status 2 \(discard\): too long$"),
         ("crash", r"ends its process \(signal SIGABRT\) at 0 s"),
-        ("nan", r"its force is not finite"),
+        ("nan", r"the returned force is not finite"),
         ("none", r"Failed to instantiate model"),
     ],
 )

@@ -171,7 +171,7 @@ def statements(of: Identification) -> Iterator[Statement]:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
             f"Another vehicle fits equally well: {values}. These signals cannot distinguish the suspension from the tyre; "
-            "measure the hub.",
+            "measure the motion of the hub.",
             "ends",
         )
     if estimate.noiseless:

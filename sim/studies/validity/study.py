@@ -124,7 +124,7 @@ class EndsStudy(Study[list[RegimeEnd | None]]):
         return regime_ends(ideal_measurements(request.vehicle), request.stable, Bump(), time)
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
-        runs = f"{BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
+        runs = f"{BUMP_DURATION:g} s with a timestep of {1e3 * scope.timestep:g} ms"
         return [
             describe_ends(
                 scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing_names, Bump(), scope.where, runs
