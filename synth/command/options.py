@@ -112,8 +112,8 @@ def _parser() -> Parser:
         "--fragility",
         action="store_true",
         help="compute how large the errors of measurements and forces may be, in percent, before the loop becomes unstable or "
-        "its norm rises by 1 or 10 %% (proved and found), and the norm after rounding the law's coefficients to int16 or "
-        "float16",
+        "its norm rises by 1 or 10 %% (proved limit and limit found), and the norm after rounding the law's coefficients to "
+        "int16 or float16",
     )
     parser.add_argument(
         "--check",
