@@ -191,8 +191,8 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
     asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
-        f"column {asked.column} is called {short_repr(asked.text)}; which direction is positive? Write compression or extension "
-        f"above it ({wanted} is positive in extension)"
+        f"column {asked.column} is called {short_repr(asked.text)}, which does not tell the positive direction; write "
+        f"compression or extension in its heading ({wanted} is positive in extension)"
     )
     if undirected and not log and not (over == "compression" and known):
         raise question
@@ -297,8 +297,8 @@ def _of_sheet(speed: Array, compression: Array, rebound: Array) -> tuple[list[fl
     for i in np.flatnonzero(gas)[:1]:
         a, b = (one[i] for one in forces)
         raise InputError(
-            f"has {a:g} and {b:g} N at {v[i]:g} m/s, probably because of a gas; subtract the gas force, which is "
-            "part of the spring's preload"
+            f"has {a:g} N in compression and {b:g} N in rebound at {v[i]:g} m/s, probably because of a gas; subtract the gas "
+            "force, which is part of the spring's preload"
         )
     v, pushing, pulling = (one[v > 0] for one in (v, pushing, pulling))
     return [*(-v[::-1]).tolist(), 0.0, *v.tolist()], [*(-pushing[::-1]).tolist(), 0.0, *pulling.tolist()]

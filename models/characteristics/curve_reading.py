@@ -89,8 +89,8 @@ class Argument(ListedValues):
             raise InputError(f"{HERE} goes from {x[i]:g} to {x[i + 1]:g} {self.unit} at point {i + 2}; {do}")
         if max(-x[0], x[-1]) > self.largest:
             raise InputError(
-                f"{HERE} goes from {x[0]:g} to {x[-1]:g}, and at most {self.largest:g} {self.unit} is allowed; "
-                f"give {self.unit}, not {self.small}"
+                f"{HERE} goes from {x[0]:g} to {x[-1]:g}, but at most {self.largest:g} {self.unit} is allowed; give values "
+                f"in {self.unit}, not in {self.small}"
             )
         return tuple(x.tolist())
 
@@ -127,7 +127,7 @@ class TableSection(Section):
                 raise InputError(f"{HERE}.{key} is missing; give {what}")
         x, values = (getattr(self, name) for name in given)
         if len(x) != len(values):
-            raise InputError(f"has {len(x)} values of {given[0]} and {len(values)} of {self.of}; give as many")
+            raise InputError(f"has {len(x)} values of {given[0]} and {len(values)} of {self.of}; give equal numbers of both")
 
     @property
     def points(self) -> tuple[Array, Array]:
@@ -273,7 +273,7 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
     """Returns one characteristic whose force is the sum of the forces that slopes and tables give."""
     count = len(tables) + len(slopes)
     if not tables:
-        raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")
+        raise InputError(f"has {count} numbers but no table, so it is not a curve; give the sum of the numbers in [parameters]")
     parts: list[tuple[Array, Array, float]] = []
     for one in tables:
         preload = one.preload
@@ -356,7 +356,7 @@ def _check_both_sides(x: Array, over: Argument) -> None:
         )
     if min(-x[0], x[-1]) < SMALLEST_REACH:
         raise InputError(
-            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give at least {SMALLEST_REACH:g} on both sides"
+            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give at least {SMALLEST_REACH:g} on both sides of 0"
         )
 
 
@@ -433,8 +433,8 @@ def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
     for end, side in ((0, "below its first point"), (-1, "beyond its last point")):
         if curve.slopes[end] < 0:
             raise InputError(
-                f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, because the last slope continues; make "
-                "the last slope zero or positive"
+                f"its force falls {side} by {-curve.slopes[end]:g} N per {over.unit}, because the slope of the outermost "
+                "segment continues; make this slope zero or positive"
             )
     return curve
 
@@ -446,7 +446,7 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
     with error_in(f"{where}:"):
         _check_both_sides(v, VELOCITY)
         if not d[0] <= 0 <= d[-1]:
-            raise InputError(f"deflection goes from {d[0]:g} to {d[-1]:g} m; give a range with equilibrium, deflection 0, in it")
+            raise InputError(f"deflection goes from {d[0]:g} to {d[-1]:g} m; give a range that contains 0, the equilibrium")
         columns = []
         for at, column in zip(d, table.T, strict=True):
             with error_in(f"at deflection {at:g} m:"):

@@ -47,7 +47,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     if len(headings) != len(NAMES) or any(len(found) != 1 for found in of.values()):
         if across is None:
             return None
-        raise InputError(f"its first cell is {short_repr(corner)}; write the quantities with their units there: {FIRST_CELL}")
+        raise InputError(f"its first cell is {short_repr(corner)}; write quantities with units in this cell: {FIRST_CELL}")
     scale = {name: found[0].scale(name) for name, found in of.items()}
     directions = {name: found[0].direction for name, found in of.items()}
     numbers = table.numbers()[0]
@@ -59,7 +59,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
         force = np.full((len(v), len(d)), np.nan)
         force[i, j] = columns["force"]
         if len(numbers) != force.size or np.isnan(force).any():
-            raise InputError(f"has {len(numbers)} rows for {len(v)} velocities and {len(d)} deflections; give each pair once")
+            raise InputError(f"has {len(numbers)} rows for {len(v)} velocities and {len(d)} deflections; give a row per pair")
     else:
         v, d, force = numbers[:, 0], across, numbers[:, 1:]
     for name in NAMES[:2]:

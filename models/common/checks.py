@@ -187,8 +187,8 @@ class ReadOnly(dict[str, Any]):
 
     def _refused(self, *arguments: Any, **named: Any) -> NoReturn:
         raise InputError(
-            "parameters, weights and controllers of a vehicle are read-only; use vehicle.with_parameters(sprung_mass=...), "
-            "or dataclasses.replace"
+            "parameters, weights and controllers of a vehicle are read-only; make a changed copy with "
+            "vehicle.with_parameters(sprung_mass=...), or dataclasses.replace"
         )
 
     __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refused  # pyright: ignore

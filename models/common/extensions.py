@@ -36,7 +36,7 @@ class Registry(dict[str, str]):
             TypeError: an attribute is missing.
         """
         if name not in self:
-            raise InputError(f"{self.sort} {name!r} is not known; known are {alike(name, self)}")
+            raise InputError(f"{self.sort} {name!r} is not known; give one of {alike(name, self)}")
         extension = resolve_name(self[name])
         for attribute in self.attributes:
             if not hasattr(extension, attribute):

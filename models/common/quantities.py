@@ -121,7 +121,7 @@ class Heading:
         column = f"column {self.column}, {short_repr(self.text)}," if self.text else f"column {self.column}"
         allowed, instead = f"allowed: {list_names(units)}", f", or give :{option}={si}" if option else ""
         if given and size not in (None, units[given]):
-            raise InputError(f"{column} is in {self.unit}, but {option} = {given} is given; omit or correct one")
+            raise InputError(f"{column} is in {self.unit}, but {option} = {given} is given; omit one of the two, or correct it")
         if not given and self.unit and size is None:
             raise InputError(f"{column} has the unit {short_repr(self.unit)} ({allowed}); convert the column{instead}")
         if not (given or self.unit or default):

@@ -224,7 +224,7 @@ class AnyTable(Key):
         """Returns the table."""
         if not isinstance(value, Mapping):
             raise InputError(
-                f"{HERE} = {short_repr(value)} is not a table; write its name in single brackets, and its keys below"
+                f"{HERE} = {short_repr(value)} is not a table; write its name in single brackets, and its keys on the lines below"
             )
         return value
 

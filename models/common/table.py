@@ -286,7 +286,7 @@ def _parquet_rows(path: Path) -> list[Sequence[Any]]:
     try:
         table = read_table(path)
     except ArrowInvalid as error:
-        raise InputError(f"it is not a Parquet file, or is damaged ({error}); write it again") from error
+        raise InputError(f"this is not a Parquet file, or it is damaged ({error}); write the file again") from error
     numbers = [i for i, one in enumerate(table.schema) if types.is_integer(one.type) or types.is_floating(one.type)]
     if not numbers:
         raise InputError(
@@ -324,9 +324,9 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
         with warnings.catch_warnings(action="ignore"):  # SciPy would warn about two objects with the same name
             return loadmat(BytesIO(content))
     except NotImplementedError as error:
-        raise InputError("it is of version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
+        raise InputError("the file has version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
     except Exception as error:
-        raise InputError(f"it is not a MATLAB file, or is damaged ({error}); save it in MATLAB with '-v7'") from error
+        raise InputError(f"this is not a MATLAB file, or it is damaged ({error}); save it in MATLAB with '-v7'") from error
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:

@@ -122,7 +122,7 @@ def setting(name: str, value: str, unit: str = "1") -> float:
     except ValueError:
         number = quantity(value, unit, name)
     if not math.isfinite(number):
-        raise InputError(f"{name} = {value!r} is not a finite number")
+        raise InputError(f"{name} = {value!r} is not allowed; give a finite number")
     return number
 
 

@@ -391,7 +391,7 @@ class VehicleKind(CheckedFields):
         for i, one in enumerate(names_of(of_parts)):
             if one in taken or one in names_of(of_parts)[:i]:
                 raise InputError(
-                    f"[parts] an element has the state {one!r}, which is the name of another signal; rename the section"
+                    f"[parts] an element has the state {one!r}, which is already the name of a signal; rename the section"
                 )
         return self if of_parts == self.of_parts else replace(self, signals=(*others, *of_parts), of_parts=of_parts)
 
@@ -451,12 +451,12 @@ class VehicleKind(CheckedFields):
             if part.ratio not in self.ratios or part.stiffness not in parameters:
                 continue
             if part.deflection not in loads:
-                raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add its load")
+                raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add this load")
             rate = -self.ratios[part.ratio].relative_slope * loads[part.deflection]
             if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
                 raise InputError(
-                    f"springs of {part.stiffness} carry different loads, so {part.ratio} over travel gives them different "
-                    "wheel rates; give each suspension its own parameter"
+                    f"suspensions that share {part.stiffness} carry different static loads, so {part.ratio} over travel "
+                    "gives them different wheel rates; give each suspension its own parameter"
                 )
         return rates
 
@@ -600,7 +600,7 @@ class VehicleKind(CheckedFields):
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze <= 0:
-                raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move the masses between the wheels")
+                raise InputError(f"{tyre}: this wheel has no contact with the road at rest; move mass towards this wheel")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m (weight over tyre stiffness), but at most {MOST_SQUEEZE} m is "

@@ -148,7 +148,7 @@ def track(axle: str, p: Parameters) -> float:
         InputError: neither `track_AXLE` nor `track` is given.
     """
     if (own := p.get(f"track_{axle}", p.get("track"))) is None:
-        raise InputError(f"the distance of left and right wheels is missing; give track or track_{axle}, in m")
+        raise InputError(f"the distance between left and right wheels is missing; give track or track_{axle}, in m")
     return own
 
 

@@ -170,7 +170,7 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
         wrong = np.any(own[rows] != np.eye(len(names)), axis=1) | np.any([other[rows].any(axis=1) for other in others], axis=0)
         if wrong.any():
             name = names[int(np.argmax(wrong))]
-            raise InputError(f"linear_model: the output {name!r} is not the state or input of this name; correct its rows")
+            raise InputError(f"linear_model: output {name!r} differs from the state or input of this name; correct its rows")
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:

@@ -205,7 +205,7 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
             )
     coefficients = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
     if not coefficients:
-        raise InputError(f"{what} is 0; give its coefficients in descending powers of s")
+        raise InputError(f"all coefficients of the {what} are 0; give at least one that is not 0, in descending powers of s")
     if len(coefficients) > MOST + 1:
         raise InputError(f"{what} has degree {len(coefficients) - 1}, at most {MOST} is allowed; split or reduce the filter")
     return coefficients

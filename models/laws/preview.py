@@ -168,4 +168,4 @@ def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
     try:
         return RoadPreview(*(found[name] for name in ("seconds", *PREVIEW_MATRICES)))
     except KeyError as error:
-        raise InputError(f"its preview record has no key {error}") from error
+        raise InputError(f"the record of the preview has no key {error}") from error

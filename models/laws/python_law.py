@@ -100,7 +100,7 @@ class PythonLaw(LawSource):
             return {}
         place = os.path.relpath(os.path.realpath(self.path), os.path.realpath(folder))
         if place.startswith(os.pardir):
-            raise InputError(f"the law {self.law} would be outside of the folder {folder}")
+            raise InputError(f"the law {self.law} would be outside of the folder {folder} of the vehicle file")
         return {"fmu": Path(place).as_posix()} if self.is_fmu else {"law": f"{Path(place).as_posix()}:{self.function}"}
 
     def driver(

@@ -66,7 +66,7 @@ class Sample:
 
     def __getitem__(self, signal: str) -> Any:
         if signal not in self._index:
-            raise InputError(f"it does not measure {short_repr(signal)}; its measured signals are {', '.join(self._index)}")
+            raise InputError(f"the controller does not measure {short_repr(signal)}; it measures {', '.join(self._index)}")
         return self.y[..., self._index[signal]]
 
 
@@ -136,7 +136,7 @@ class OwnLaw:
         """
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
-            raise InputError(f"it returns {_short(given)}, not two values; end the function with: return force, state")
+            raise InputError(f"the law returns {_short(given)}, not two values; end its function with: return force, state")
         force, self._state = given
         check_unmasked("its force", force)
         forces = np.asarray(force)
@@ -149,9 +149,9 @@ class OwnLaw:
         # For a single actuator, a law may return a number instead of an array
         scalar = shape[-1] == 1 and forces.shape == shape[:-1]
         if forces.shape != shape and not scalar:
-            raise InputError(f"its force has shape {forces.shape}; expected {shape}, one number for each actuator")
+            raise InputError(f"the returned force has shape {forces.shape}; expected {shape}, one number for each actuator")
         if not np.all(np.isfinite(forces)):
-            raise InputError("its force is not finite")
+            raise InputError("the returned force is not finite")
         return forces.reshape(shape)
 
     def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:

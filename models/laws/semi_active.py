@@ -311,12 +311,12 @@ class SemiActiveSection(Section):
             )
         modes = tuple(mode for mode in MODES if mode in outputs) if law is skyhook_modal else ()
         if law is skyhook_modal and not modes:
-            raise InputError(f'{what} needs a body that pitches or rolls; give "skyhook_linear"')
+            raise InputError(f'{what} needs a body that pitches or rolls; for other vehicles, give "skyhook_linear"')
         for key, mode in MODAL.items():
             if key in given and mode not in modes:
                 raise InputError(f"{key} has no effect, because this vehicle has no {mode}; omit {key}")
         numbers = tuple((key, getattr(self, key)) for key in own if key in given)
         law = SemiActiveLaw(self.semi_active, numbers, tuple(endings[force] for force in inputs), modes)
         if lacking := [signal for signal in law.measured if signal not in outputs]:
-            raise InputError(f"{what} measures {lacking[0]!r}, which this vehicle type does not have")
+            raise InputError(f"{what} measures {lacking[0]!r}, which this vehicle type does not have; choose another law")
         return law

@@ -143,8 +143,8 @@ class Adjustable(SettablePart):
                 what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
                 what = what if one.damper.replaces else "of [parts]"
                 raise InputError(
-                    f"[controllers.{name}] measures {one.force}, but no sensor measures the force of a damper {what}; measure "
-                    "suspension_velocity instead, or give numbers"
+                    f"[controllers.{name}] measures {one.force}, but no sensor measures the force of a damper {what}; "
+                    "measure suspension_velocity instead, or give numbers instead of curves"
                 )
 
     @property

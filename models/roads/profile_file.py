@@ -202,7 +202,7 @@ def choose_columns(
     for i, allowed in zip(used, (("distance",), *TRACKS[len(used)]), strict=True):
         column = f"column {i + 1} is called {short_repr(headings[i].text)}"
         if headings[i].name and not names[i] and not wanted:
-            raise InputError(f"{column}, but the columns that are read are {list_names(READ)}; {SAY}{A_RIG}")
+            raise InputError(f"{column}, but only columns called {list_names(READ)} are read; {SAY}{A_RIG}")
         if names[i] and names[i] not in allowed:
             role = f"the height of the {allowed[1]} track" if len(allowed) == 2 else allowed[0]
             raise InputError(f"{column}, but would be read as {role}; {SAY}{A_RIG}")

@@ -175,8 +175,8 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     rises = np.abs(heights - heights[0])
     for i in np.flatnonzero(rises.max(axis=1) > STROKE)[:1]:
         raise InputError(
-            f"{where(i)} is {rises[i].max():g} m from the first height of its post, but only {STROKE:g} m are allowed; if the "
-            "heights are in mm, add the unit, as in front_left [mm]"
+            f"{where(i)} differs by {rises[i].max():g} m from the first height of the same post, but at most {STROKE:g} m is "
+            "allowed; if the heights are in mm, add the unit to the heading, as in front_left [mm]"
         )
 
 

@@ -56,8 +56,8 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
             )
         if self.preview is None and self.design == PREVIEW:
             raise InputError(
-                f'design = "{PREVIEW}" needs the time for which it knows the road ahead; give it in seconds, as in '
-                "preview = 0.5. This is the range of the road sensor divided by the speed"
+                f'design = "{PREVIEW}" needs a preview time, the range of the road sensor divided by the speed; give it in '
+                "seconds, as in preview = 0.5"
             )
 
     @property

@@ -218,9 +218,9 @@ class GivenSection(SignalSection):
 
     def __post_init__(self) -> None:
         if self.certificate is not None and not self.given:
-            raise InputError("certificate is allowed only in a section with a gain or a law; remove it here")
+            raise InputError("certificate is allowed only in a section with a gain or a law; omit it, or give a gain or a law")
         if self.loads is not None and not self.loads:
-            raise InputError("loads = {} is empty; give { load = value equivalent to 1 m/s of road velocity }, or omit loads")
+            raise InputError("loads = {} is empty; give loads that count as much as 1 m/s of road velocity, or omit loads")
 
     @property
     def given(self) -> bool:

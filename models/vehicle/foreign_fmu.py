@@ -143,7 +143,7 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         )
     forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
-        raise InputError(f"its outputs are {list_names(outputs)}; call the forces {FORCE} or {FORCE}_CORNER, or give outputs")
+        raise InputError(f"the outputs are {list_names(outputs)}; call the forces {FORCE} or {FORCE}_CORNER, or give outputs")
     for one in (*inputs.values(), *forces):
         name = names.get(one.name, one.name)
         unit = one.unit or (one.declaredType and one.declaredType.unit)

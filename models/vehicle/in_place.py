@@ -55,7 +55,7 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
         parse_toml(f'{text}\n[controllers.""]')
     except InputError as error:
         raise InputError(
-            "no section can be added to controllers = { ... } of the vehicle file; write each one as [controllers.NAME]"
+            "no section can be added to controllers = { ... } of the vehicle file; write each controller as [controllers.NAME]"
         ) from error
     return text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
 

@@ -191,8 +191,8 @@ def _check_line(tendon: Any, one: "SuspensionPart") -> None:
     own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
     if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
         raise InputError(
-            f"the tendon {one.tendon!r} has the value {own:g}, but {one.parameter} is {slope:g}, so a curve cannot replace it; "
-            "let write_mjcf write the parameter, or omit the curve"
+            f"the stiffness or damping of the tendon {one.tendon!r} is {own:g}, but {one.parameter} is {slope:g}; a curve "
+            "needs equal values: let write_mjcf write the parameter, or omit the curve"
         )
 
 
@@ -297,7 +297,7 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         if not abs(moved + LOWEST_HUB) < 1e-6:
             raise InputError(
                 f"MJCF {kind.mjcf}: if {wheel.road_body!r} rises by {LOWEST_HUB} m, {wheel.tyre_deflection!r} changes by "
-                f"{moved:.4g} m, not by -{LOWEST_HUB} m; place the hub at least {LOWEST_HUB} m above the road at rest"
+                f"{moved:.4g} m, not by -{LOWEST_HUB} m; place the hub higher, at least {LOWEST_HUB} m above the road at rest"
             )
 
 

@@ -573,7 +573,7 @@ class Vehicle(ShownResult):
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
-                f"--save {path}: a vehicle file there could not be read ({error}); give a path in the folder of the original"
+                f"--save {path}: the saved file could not be read ({error}); give a path in the folder of the vehicle file"
             ) from error
         return text
 

@@ -88,8 +88,8 @@ def _parser() -> Parser:
         "--subject-to",
         action="append",
         metavar="METRIC:LIMIT",
-        help="upper limit of another metric for --best, in SI units (m, m/s2, N; fractions of time from 0 to 1), for example "
-        "peak_travel:0.08; may be repeated",
+        help="largest allowed value of a metric other than that of --best, in SI units (m, m/s2, N; fractions of time from 0 "
+        "to 1), for example peak_travel:0.08; may be repeated",
     )
     parser.add_exported()
     parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best controller")

@@ -209,7 +209,7 @@ def _merge(campaign: Campaign, folder: Path) -> None:
     parts.check_complete(folder, some)
     begun, used = read_manifest(folder / PARTS, ELSEWHERE), _versions()
     if begun is None:
-        raise InputError(f"{folder / PARTS} contains no plan; {ELSEWHERE}")
+        raise InputError(f"{folder / PARTS} contains no record of its campaign; {ELSEWHERE}")
     begun.check(folder / PARTS, campaign.digest, used)
     for part in some:
         parts.check(folder, part, begun, campaign.digest, used)

@@ -76,8 +76,8 @@ def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
     """
     if parts and parts[0].of != parts[-1].of:
         raise InputError(
-            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap; use one number of parts, or give "
-            "another folder with --results"
+            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap; use the same number of parts "
+            "in each run, or give another folder with --results"
         )
 
 

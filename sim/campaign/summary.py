@@ -73,7 +73,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
         chosen: candidate that the table of each vehicle always contains, by vehicle; None if there is no such candidate.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
-    begins = f", random roads measured from {campaign.settle:g} s on (settle)" if settles else ""
+    begins = f"; random roads are measured from {campaign.settle:g} s on (settle)" if settles else ""
     for vehicle, every in scores.items():
         shown = {chosen.get(vehicle)}
         for one in FIELDS:

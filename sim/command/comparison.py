@@ -185,7 +185,7 @@ def check_view(options: argparse.Namespace) -> None:
         return
     if options.logs is None:
         raise InputError(
-            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes none; omit one of the two"
+            f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes no recording; omit one option"
         )
     if options.open:
         FEATURES.load("viewers").check_display()

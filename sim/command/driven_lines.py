@@ -50,7 +50,7 @@ def driven_lines(
     kinds = " and ".join(dict.fromkeys(each.vehicle.kind.name for each in driven))
     sources = ", ".join(options.vehicles) if driven[0].title else driven[0].vehicle.source
     on = f"a road: {where}" if metrics else where
-    lines = title_lines(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
+    lines = title_lines(f"{kinds} over {on}; {options.duration:g} s, timestep {options.timestep:g} s", sources)
     if metrics:
         lines += end_lines(road, options.duration)
     details, ride, found, below_table = _start_lines(options, driven), None, list[str](), list[dict[str, str]]()
@@ -100,7 +100,7 @@ def _check_lines(runs: Sequence[Run], others: Sequence[str]) -> list[str]:
     for count in range(len(runs), 0, -1):
         rest = f", {len(runs) - count} controllers" if count < len(runs) else ""
         one = checks_table(runs[:count])
-        more = f"not shown (--controller NAME -v, or --json): gains, every signal{rest}"
+        more = f"shown only with --controller NAME -v, or --json: gains, every signal{rest}"
         lines = ["", *table_lines(one), *wrap_text(one.caption, GAP, len(GAP)), *fit_lines([more])]
         if len(fit_lines(others)) + len(lines) <= DETAIL_LINES:
             break

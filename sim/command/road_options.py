@@ -154,7 +154,7 @@ def add_road(parser: Parser, default: str) -> None:
         "--class",
         dest="road_class",
         metavar="CLASS",
-        help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
+        help=f"class of a random road (ISO 8608), {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
     )
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"road instead of --class: {ROAD_SYNTAX}".replace("%", "%%"))

@@ -72,7 +72,7 @@ class Response(ShownResult):
         check_fields(self)
         expected = (len(self.time), len(self.signals))
         if self.values.shape[-2:] != expected:
-            raise InputError(f"values end in shape {self.values.shape[-2:]}, but time and signals need {expected}")
+            raise InputError(f"the last axes of values are {self.values.shape[-2:]}, but time and signals need {expected}")
 
     @property
     def summary(self) -> Document:
@@ -108,7 +108,7 @@ class Response(ShownResult):
             InputError: the run does not exist.
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
-            raise InputError(f"index = {index} selects no run of shape {self.values.shape}; give an index of the first axis")
+            raise InputError(f"index = {index} selects no run from values of shape {self.values.shape}; index the first axis")
         before = {name: values[index] for name, values in self.before.items()}
         return Response(self.time, self.signals, self.values[index], before)
 

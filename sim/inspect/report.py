@@ -71,7 +71,7 @@ def _describe_together(runs: Sequence[InspectedRun]) -> Document:
     ]
     shared = (*verdicts(again), *share_statements(findings))
     tables = [replace(checks_table(again), detail="normal")] * bool(again)
-    more = "not shown (--json): gains, signals and the text of every finding that holds"
+    more = "shown only with --json: gains, signals and the text of every finding that holds"
     return Document("", (*shared, *tables, *notes(*(one.caption for one in tables), more)))
 
 
@@ -81,7 +81,7 @@ def _describe_run(one: InspectedRun) -> Document:
     if run is not None:
         time, controller = run.prediction.time, run.controller
         title += f": {verdict(run).text}"
-        about.append(f"{len(time)} samples to {time[-1]:g} s at {run.prediction.timestep:g} s; {run.road.words}")
+        about.append(f"{len(time)} samples to {time[-1]:g} s, timestep {run.prediction.timestep:g} s; {run.road.words}")
         about.append(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}: {controller.text}")
         if controller.preview is not None:
             about.append(f"{controller.name} also uses the road {controller.preview.seconds:g} s ahead")

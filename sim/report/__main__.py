@@ -46,13 +46,13 @@ def _parser() -> Parser:
     parser.add_controller_and_vehicle("default: all but published copies, such as I_printed", "a page for each and one table")
     parser.add_argument("--gallery", action="store_true", help="write the page of published results instead")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="file of the page (default: report-VEHICLE.html, report-gallery.html)"
+        "--out", type=Path, metavar="FILE", help="file to write the page to (default: report-VEHICLE.html, report-gallery.html)"
     )
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
     )
     parser.add_argument(
-        "--one-page", action="store_true", help="write only the comparison over the road (default: class C) on one page of A4"
+        "--one-page", action="store_true", help="write one A4 page with only the comparison over the road (default: class C)"
     )
     parser.add_argument("--quick", action="store_true", help="omit margins, map and ride; takes a few seconds instead of 20 s")
     parser.add_argument(

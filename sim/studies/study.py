@@ -121,7 +121,7 @@ class Study(Generic[R]):
         document = self.describe(request, result)
         lines = [*title, *files, "", *text_lines(document, detail)]
         if detail == "full" and self.details and len(fit_lines(lines)) > DETAIL_LINES:
-            lines = [*title, *files, "", *text_lines(document), f"not shown (--json): {self.details}"]
+            lines = [*title, *files, "", *text_lines(document), f"shown only with --json: {self.details}"]
         return lines
 
     def holds(self, result: R) -> bool:

@@ -69,7 +69,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
     """Writes the folder of one controller. Returns the contents of the folder for JSON, and as lines of text."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove it")
+        raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove this one")
     _, law, texts = _law(vehicle, options, str)
     with (
         made_folder(folder.parent, "export"),

@@ -85,7 +85,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--zero-l",
         action="store_true",
-        help="set the paper's matrix L to 0 instead of its equation (14): one-step design of remark 4",
+        help="set the paper's matrix L to 0 instead of computing it from (14): the one-step design of remark 4",
     )
     parser.add_argument(
         "--refine",
@@ -95,7 +95,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--cross-check",
         action="store_true",
-        help="solve problems (22) and (25) again with solver Clarabel, compare the optima, and check that the gains attain them",
+        help="solve (22) and (25) of the paper again with Clarabel, compare the optima, and check that the gains attain them",
     )
     parser.add_argument(
         "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain as controller NAME_designed"
@@ -112,8 +112,8 @@ def _parser() -> Parser:
         "--fragility",
         action="store_true",
         help="compute how large the errors of measurements and forces may be, in percent, before the loop becomes unstable or "
-        "its norm rises by 1 or 10 %% (proved and found), and the norm after rounding the law's coefficients to int16 or "
-        "float16",
+        "its norm rises by 1 or 10 %% (proved limit and limit found), and the norm after rounding the law's coefficients to "
+        "int16 or float16",
     )
     parser.add_argument(
         "--check",

@@ -197,11 +197,11 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
     lowest, where = f"Limit: no controller has a norm below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
     if is_pole(plant, limit.limit_at):  # the forces may change the whole response except this mode
-        return f"{lowest}, as control must stabilise the mode at {where}, which does not decay by itself."
+        return f"{lowest}, because control must stabilise the mode at {where}, which does not decay by itself."
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED_NORM):
         return f"{lowest}: no force changes z at {where}."
-    return f"{lowest}, because no control lowers z further at {where}. Without control z is {LOWER_BOUND.digits(free)}."
+    return f"{lowest}: no control lowers the gain to z further at {where}. Without control it is {LOWER_BOUND.digits(free)}."
 
 
 EXPLANATION = (
@@ -337,7 +337,7 @@ def loop_table(rows: Sequence[Row]) -> Table:
     return Table.of("loops", "Poles of all loops.", [replace(one, detail="normal") for one in LOOPS], rows, detail="full")
 
 
-NOT_SHOWN = "not shown (--controller NAME -v, or --json): gains, other poles and goals"
+NOT_SHOWN = "shown only with --controller NAME -v, or --json: gains, other poles and goals"
 INSIDE = "the sampled norm is reached within one sample period: no controller at this rate has a smaller norm"
 
 

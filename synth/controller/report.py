@@ -291,8 +291,8 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     if vehicle.integrals:
         names = list_names([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
-            f"designs that measure {names} use its integral as a state; norms of the sampled-data loop do not include this "
-            "integral"
+            f"designs that measure {names} use the integral of each such signal as a state; norms of the sampled-data loop "
+            "do not include integrals"
         )
     return lines
 

@@ -116,7 +116,7 @@ class Plant:
                 )
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
-                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, with zeros if nothing acts there")
+                raise InputError(f"{name}, so there is no norm from w to z; give {needed}, with zeros if it has no effect")
         object.__setattr__(self, "weights", check("weights", self.weights, Index))
         if self.weights > size["n"]:
             raise InputError(f"weights = {self.weights} exceed the {size['n']} states; give at most {size['n']}")

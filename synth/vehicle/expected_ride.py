@@ -73,7 +73,7 @@ def no_line(vehicle: Vehicle, controller: Controller) -> str:
 
     if curved and (others := without_curve(vehicle)):
         return f"statistical linearisation requires forces that depend on one signal only, unlike {names_text(others)} of [parts]"
-    return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
+    return "statistical linearisation finds no linear approximation with a stable loop" if curved else ""
 
 
 def _deviations(

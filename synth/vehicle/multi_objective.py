@@ -136,8 +136,8 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
-            f"{where}: {bound.energy_peak!r} contains the road's height, which the energy of its velocity does not bound; give "
-            "another signal, or its peak over a road"
+            f"{where}: {bound.energy_peak!r} contains the road's height, which is not bounded by the energy of the road's "
+            "velocity; give another signal, or bound the peak over a road"
         )
     if any(entry.hardware.noise):
         raise InputError(

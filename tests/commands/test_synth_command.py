@@ -95,11 +95,11 @@ def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
     assert limit.gamma == pytest.approx(2, rel=1e-12)  # it is rounded down
     assert limit.limit_at == 0.0
     assert limit_text(limit, plant).startswith(
-        "Limit: no controller has a norm below 2, as control must stabilise the mode at 0 Hz"
+        "Limit: no controller has a norm below 2, because control must stabilise the mode at 0 Hz"
     )
 
 
-MERELY = ", because no control lowers z further at {at}. Without control z is {free:.7g}."
+MERELY = ": no control lowers the gain to z further at {at}. Without control it is {free:.7g}."
 SAME = ": no force changes z at {at}."
 
 
@@ -359,7 +359,7 @@ def test_nothing_is_added_to_an_inline_table(tmp_path, monkeypatch, option):
     monkeypatch.chdir(tmp_path)
     rest = read_vehicle("quarter_car").text.partition("[controllers")[0]
     Path("car.toml").write_text('controllers = { mine = { measured = ["sprung_velocity"] } }\n' + rest)
-    with refused("added to controllers = { ... }", "write each one as [controllers.NAME]"):
+    with refused("added to controllers = { ... }", "write each controller as [controllers.NAME]"):
         main(["--vehicle", "car.toml", "--controller", "mine", *option])
 
 

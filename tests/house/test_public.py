@@ -100,7 +100,7 @@ def test_what_is_shown(paper, designer):
         paper: ("quarter_car", "sprung_mass", "controllers: passive"),
         controller: ("controller I: designed", "sprung_velocity", "norm: 7.843188", "bound: 7.87"),
         controller.certificate: ("certificate: holds", "norm: 7.843188"),
-        run: ("run of I: MuJoCo agrees with the model; linear analysis applies over", "height 0.05", "1 s at 0.001 s"),
+        run: ("run of I: MuJoCo agrees with the model; linear analysis applies over", "height 0.05", "1 s, timestep 0.001 s"),
     }
     for one, parts in said.items():
         assert all(part in repr(one) for part in parts)
@@ -224,7 +224,7 @@ def test_a_vehicle_is_read_only():
             assert list(mapping) == list(getattr(vehicle, name))
             changes = (lambda known: known.__setitem__("a", -1.0), lambda known: known.update(a=1.0), lambda known: known.clear())
             for change in changes:
-                with pytest.raises(models.InputError, match=r"read-only; use vehicle\.with_parameters"):
+                with pytest.raises(models.InputError, match=r"with vehicle\.with_parameters"):
                     change(mapping)
 
 

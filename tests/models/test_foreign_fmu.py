@@ -108,7 +108,7 @@ def test_it_drives_as_its_law_does(version, tmp_path):
     [
         ("discard", r"^controller 'theirs', FMU their.fmu: fmi2DoStep failed with status 2 \(discard\): too long$"),
         ("crash", r"ends its process \(signal SIGABRT\) at 0 s"),
-        ("nan", r"its force is not finite"),
+        ("nan", r"the returned force is not finite"),
         ("none", r"Failed to instantiate model"),
     ],
 )
@@ -159,7 +159,7 @@ def test_names_of_other_tools(old, new, names, library, tmp_path, monkeypatch):
         ('"m/s"', '"mm/s"', "sprung_velocity of the FMU has the unit 'mm/s'; export it in m/s"),
         ('"N"', '"kN"', "control_force of the FMU has the unit 'kN'; export it in N"),
         ('"sprung_velocity"', '"speed"', "the inputs speed, suspension_deflection, but the controller measures"),
-        ('"control_force"', '"torque"', "its outputs are torque; call the forces control_force"),
+        ('"control_force"', '"torque"', "the outputs are torque; call the forces control_force"),
         ("linux64", "other64", "the FMU has binaries for other64, but not for linux64; export it for linux64"),
         ("</fmiModelDescription>", "", "give an FMU of FMI 2 or 3 for co-simulation"),
         ("", "", "File is not a zip file; give an FMU of FMI 2 or 3 for co-simulation"),

@@ -171,7 +171,7 @@ def test_a_saved_law_is_proved(tmp_path, car):
     asked = ("--vehicle", "car.toml", "--controller", "I", "--controller", "h2", "--save", "saved.toml")
     done = printed("synth", *asked, files={"car.toml": car.text})
     assert done.code == 0
-    assert "use its integral as a state" in " ".join(done.out.split())
+    assert "use the integral of each such signal as a state" in " ".join(done.out.split())
     assert "x_c'" not in done.out  # of which controller it is, and its numbers, say the details
     saved = {"saved.toml": (done.folder / "saved.toml").read_text(encoding="utf-8")}
     again = printed("synth", "--check", "saved.toml", *DESIGNED, files=saved)

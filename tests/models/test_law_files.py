@@ -209,12 +209,12 @@ HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
         ),
         (
             b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + bytes(500),
-            "it is of version 7.3 (HDF5), which cannot be read; save it",
+            "the file has version 7.3 (HDF5), which cannot be read; save it",
         ),
-        (b"# Created by Octave 9.2\n# name: K\n# type: matrix\n", "it is not a MATLAB file, or is damaged ("),
-        (b"", "it is not a MATLAB file, or is damaged ("),
-        (mat(LAW)[:-100], "it is not a MATLAB file, or is damaged ("),
-        (mat(LAW, do_compression=True)[:-60], "it is not a MATLAB file, or is damaged ("),
+        (b"# Created by Octave 9.2\n# name: K\n# type: matrix\n", "this is not a MATLAB file, or it is damaged ("),
+        (b"", "this is not a MATLAB file, or it is damaged ("),
+        (mat(LAW)[:-100], "this is not a MATLAB file, or it is damaged ("),
+        (mat(LAW, do_compression=True)[:-60], "this is not a MATLAB file, or it is damaged ("),
     ],
     ids=["object", "7.3", "text", "empty", "cut", "cut, compressed"],
 )

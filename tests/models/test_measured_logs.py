@@ -119,7 +119,7 @@ WRONG = [  # the text of a file, settings, words of the message
     (HEAD + "0;1\n1;x\n2;3\n", {}, ("line 3, column 2: 'x' is not a finite number",)),
     (HEAD + "0;1\n1;\n2;\n", {}, ("column 2 ('sprung_acceleration [m/s2]') has fewer than 3 numbers",)),
     (HEAD + "0;1\n1;2\n", {}, ("2 sample(s), but at least 3",)),
-    (HEAD + "0;1\n1;2\n2;3\n", {"rate": 10.0}, ("column 1 ('time [s]') contains times; omit the sample rate",)),
+    (HEAD + "0;1\n1;2\n2;3\n", {"rate": 10.0}, ("column 1 ('time [s]') contains times, which give the sample rate; omit",)),
     ("a [N];b\n0;1\n1;2\n2;3\n", {"rate": 0.0, "columns": {"control_force": "a"}}, ("0 Hz", "above 0")),
     (HEAD + "0;1\n1;2\n2;3\n", {"columns": {"control_force": "u"}}, ("no column is called 'u'", "'sprung_acceleration [m/s2]'")),
     (HEAD + "0;1\n1;2\n2;3\n", {"columns": {"force": "u"}}, ("no signal 'force'", "control_force")),

@@ -355,7 +355,7 @@ def test_springs_of_one_parameter_over_travel():
     front, rear = vehicle.kind.suspensions
     shared = replace(rear, stiffness=front.stiffness, ratio=front.ratio)
     unknown = replace(vehicle.kind, static_loads=lambda p: {front.deflection: 1.0})
-    for kind, words in ((replace(vehicle.kind, suspended=(front, shared)), "carry different loads"), (unknown, "add its load")):
+    for kind, words in ((replace(vehicle.kind, suspended=(front, shared)), "different static loads"), (unknown, "add this load")):
         with pytest.raises(InputError, match=words):
             kind.check(dict(vehicle.parameters))
     for name in ("suspension_stiffness_front", "suspension_stiffness_rear"):  # the spring's own rate, as in [parameters]

@@ -87,7 +87,7 @@ def test_it_goes_to_other_processes(folder):
         (
             "return LinearModel(A, B, Bw, C, D, STATES",
             "return LinearModel(A, B, Bw, C, D, STATES[::-1]",
-            r"not the state or input",
+            r"differs from the state or input",
         ),
         (
             "signals.CONTROL_FORCE.name)",
@@ -171,7 +171,7 @@ def test_parts_that_do_not_fit(folder, part, value, said):
         ("</actuator>", '<motor joint="sprung"/></actuator>', r"2 actuators for 1 inputs"),
         ("</actuator>", '<motor name="fitted_1" joint="sprung"/></actuator>', r"reserved; rename the actuator 'fitted_1'"),
         ('<joint name="sprung" type="slide" axis="0 0 1"/>', '<freejoint name="sprung"/>', r"MJCF"),
-        ('pos="0 0 .3"', 'pos="0 0 .25"', r"place the hub at least"),
+        ('pos="0 0 .3"', 'pos="0 0 .25"', r"place the hub higher, at least"),
     ],
 )
 def test_a_model_that_does_not_work(folder, old, new, said):

@@ -182,7 +182,7 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
         ("time [s]\n0\n1\n2\n3\n", "there are no columns of heights"),
         (GOOD.replace("2,2,2", "1,2,2"), "time 1 s is repeated (line 3 and line 4); keep one of the two points"),
         (GOOD.replace("3,3,3", "30,3,3"), "there is a gap from 2 s to 30 s (line 4 and line 5)"),
-        (GOOD.replace("3,3,3", "3,3,3000"), "line 5 is 3 m from the first height of its post, but only 2 m are allowed"),
+        (GOOD.replace("3,3,3", "3,3,3000"), "line 5 differs by 3 m from the first height of the same post, but at most 2 m"),
         (GOOD.replace("3,3,3\n", ""), "a time history needs at least 4 points, but has 3"),
         (GOOD.splitlines()[0], "no line of numbers; give a line of headings"),
         (GOOD.replace("front", ""), "a column is called ''"),

@@ -388,8 +388,8 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
     ("above", "settings", "said"),
     [
         ("distance,left,right", ":columns=1,3,2", "'right', but would be read as the height of the left track"),
-        ("a,b,c", "", "column 1 is called 'a', but the columns that are read are distance, height, left, right; choose columns"),
-        ("distance,a,b [mm]", "", "column 2 is called 'a', but the columns that are read are distance"),
+        ("a,b,c", "", "column 1 is called 'a', but only columns called distance, height, left, right are read; choose columns"),
+        ("distance,a,b [mm]", "", "column 2 is called 'a', but only columns called distance"),
         ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', both contain height; choose columns"),
         ("x,station,z", "", "columns 1, 'x' and 2, 'station', both contain distance"),
         ("left,right,distance", ":columns=1,2", "column 1 is called 'left', but would be read as distance"),

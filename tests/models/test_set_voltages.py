@@ -192,7 +192,7 @@ def test_a_campaign_samples_the_numbers_of_the_damper():
         (OF_FILE, "[limits]\nactuator_force = 900", "actuator_force is for force actuators, but [parts.mr]"),
         (OF_FILE, f'[parts.b]\nkind = "dahl"\n{KINDS["dahl"]}\n{OF_FILE}', "both control control_force; omit one"),
         ("largest_voltage = 2.0\nvoltage = 3.0", "", "voltage = 3 V, which acts without a command, is above"),
-        ("bandwidth = 9.0", "", "bandwidth has no effect on a constant voltage"),
+        ("bandwidth = 9.0", "", "bandwidth acts only on a voltage that changes"),
         (
             OF_FILE,
             '[controllers.f]\nmeasured = ["control_force"]\ngain = [[0.1]]',

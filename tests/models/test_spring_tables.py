@@ -103,7 +103,7 @@ def test_a_heading_decides_the_sign(tmp_path, heading, sign):
 @pytest.mark.parametrize("more", [OF_FILE, '[limits]\nstop = "a.csv"'])
 def test_a_heading_without_a_direction_is_asked_about(tmp_path, heading, more):
     """A spring's or a stop's table that does not tell which direction is positive is refused with that question."""
-    with refused("column 1 is called", "which direction is positive? Write compression or extension above it"):
+    with refused("column 1 is called", "does not tell the positive direction; write compression or extension in its"):
         read_with(tmp_path, more, a=f"{heading}\n-50,-900\n0,0\n50,1500\n")
 
 
@@ -138,14 +138,14 @@ GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n
         ('[limits]\nstop = { bump = "e.csv" }', "bump: its table has no force in compression, only in extension"),
         (
             '[limits]\nstop = { bump = "c.csv", rebound = "c.csv" }',
-            "or also give suspension_stroke if it is over the compression",
+            "or give suspension_stroke if the table is over the compression",
         ),
         (
             "[limits]\nstop = { rebound = { deflection = [0.07, 0.08], force = [1, 2] } }",
             "without a point where contact begins",
         ),
-        ("[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1 }", "suspension_stroke has no rebound"),
-        ("[limits]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop = { bump = 1e5 }", "stop_stiffness has no rebound"),
+        ("[limits]\nsuspension_stroke = { bump = 0.1 }\nstop = { bump = 1e5, rebound = 1 }", "stroke is not given for rebound"),
+        ("[limits]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop = { bump = 1e5 }", "is not given for rebound"),
         ('[curves]\nsuspension_stiffness = { file = "s.csv", preload = true }', "positive in compression, call them compression"),
         (
             '[curves]\nsuspension_damping = [300, { file = "grid.csv" }]',

@@ -112,17 +112,17 @@ def test_a_file_is_the_table_in_its_place(tmp_path, form):
 
 
 WRONG = [
-    (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give each pair once"),
-    (FILES["sheet"].replace(ACROSS, "v"), "its first cell is 'v'; write the quantities with their units there: velocity"),
+    (FILES["list"].rsplit("\n", 1)[0], "has 19 rows for 5 velocities and 4 deflections; give a row per pair"),
+    (FILES["sheet"].replace(ACROSS, "v"), "its first cell is 'v'; write quantities with units in this cell: velocity"),
     (
         FILES["sheet"].replace("deflection", "travel"),
         "'travel' does not tell which direction is positive; write deflection (positive in ext",
     ),
     ({"force": F[:4]}, "force has 4 lists, of 4 numbers; give 5 lists, one for each velocity, of 4 numbers"),
     ({"v": V[::-1]}, "velocity goes from 0.8 to 0.25 m/s at point 2; sort the points by velocity, and give each value once"),
-    ({"v": 1e3 * V}, "velocity goes from -900 to 800, and at most 50 m/s is allowed; give m/s, not mm/s"),
+    ({"v": 1e3 * V}, "velocity goes from -900 to 800, but at most 50 m/s is allowed; give values in m/s, not in mm/s"),
     ({"v": V + 1}, "velocity goes from 0.1 to 1.8 m/s; give values on both sides of equilibrium"),
-    ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range with equilibrium"),
+    ({"d": D + 0.1}, "deflection goes from 0.06 to 0.135 m; give a range that contains 0"),
     (
         {"force": F + 50},
         "at deflection -0.04 m: its force at rest is 50 N, but a damper has no force at rest; subtract the gas force",

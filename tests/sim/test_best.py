@@ -214,7 +214,7 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     assert "no picture is drawn, because no run of the campaign has both ride and tyre load" in prose(complaint)
     assert not (tmp_path / "tuned.png").exists()
     assert "No controller can be compared, because each has a run that ended early." in out
-    assert "all 2 candidates have runs that ended early and have no ride." in prose(out)
+    assert "each of the 2 candidates has runs that ended early, so it has no ride." in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
 
@@ -251,7 +251,7 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
         (["--best", "colour"], "--best colour: vehicle 'car.toml' has no metric colour; it has"),
         (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no metric at_stops; it has control_energy"),
         (["--best", "ride", "--subject-to", "travel:0.08"], "--subject-to travel: vehicle 'car.toml' has no metric travel; it"),
-        (["--best", "ride", "--subject-to", "peak_travel:nan"], "--subject-to peak_travel = 'nan' is not a finite number"),
+        (["--best", "ride", "--subject-to", "peak_travel:nan"], "--subject-to peak_travel = 'nan' is not allowed"),
         (["--best", "ride", "--subject-to", "peak_travel:1 kg"], "kg"),
         (["--best", "ride", "--subject-to", "peak_travel"], "--subject-to peak_travel has no limit"),
         (["--best", "ride", "--subject-to", "ride:1", "--subject-to", "ride:2"], "ride already has a limit; give only the"),
@@ -304,7 +304,7 @@ def test_what_cannot_be_saved_is_refused_before_the_runs(tmp_path, monkeypatch):
     laws = ['skyhook = { semi_active = "skyhook" }', 'hybrid = { semi_active = "hybrid" }']
     laws.append('sky = { measured = ["sprung_velocity"], gain = [[-1e3]] }')
     inline = f"controllers = {{ {', '.join(laws)} }}\n{CAR.partition('[controllers')[0]}"
-    check_refused(tmp_path, monkeypatch, FILE, save, "write each one as [controllers.NAME]", inline)
+    check_refused(tmp_path, monkeypatch, FILE, save, "write each controller as [controllers.NAME]", inline)
     both = FILE.replace('["car.toml"]', '["car.toml", "quarter_car_semi_active"]')
     check_refused(tmp_path, monkeypatch, both, save, "--save needs a campaign with one vehicle, not 2")
 

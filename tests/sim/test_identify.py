@@ -408,7 +408,7 @@ def test_an_mdf4_file(tmp_path):
         file.save(tmp_path / "log.mf4")
     check_recording(tmp_path / "log.mf4", "AccZ", "shock.front")
     (tmp_path / "no.mf4").write_bytes(b"no MDF4")
-    with pytest.raises(InputError, match="not an MDF4 file, or is damaged"):
+    with pytest.raises(InputError, match="not an MDF4 file, or it is damaged"):
         read_measured_log(tmp_path / "no.mf4", {BODY: "m/s2"})
 
 
@@ -514,7 +514,7 @@ def test_a_log_whose_times_are_too_coarse_for_its_road(tmp_path):
     with pytest.raises(InputError, match=r"moves by .* in mm, write its unit in the map"):
         identify([path], CAR, log_map)
     log_map.write_text(f'{head}"d1_m [mm]"\n')
-    with pytest.raises(InputError, match=r"rad of the road.s .*: the road.s phase is not known; export times with more"):
+    with pytest.raises(InputError, match=r"rad at the road.s usual .*, so the road.s phase is unknown; export times with more"):
         identify([path], CAR, log_map)
 
 

@@ -174,7 +174,7 @@ def test_it_says_so(tmp_path, capsys, monkeypatch):
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     line = run["expected_line"]
     assert all(one["approximate"] for one in run["metrics"].values() if one["expected"] is not None)
-    assert "Rms and dynamic load are exact to 1 %" in said
+    assert "Rms and dynamic load are accurate to 1 %" in said
     at_rest = read_vehicle(tmp_path / "mine.toml").parameters
     assert ({*line["slopes"]}, line["second_order"]) == ({*AXLES}, True)
     assert "with second-order remainders" in said

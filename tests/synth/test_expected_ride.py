@@ -79,7 +79,7 @@ def test_without_a_consistent_line_there_is_a_reason(tmp_path, capsys):
     assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "cancels", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["controllers"][0]["expected_ride"] is None
-    assert "no straight lines" in found["expected_ride"]["without"]["cancels"]
+    assert "no linear approximation" in found["expected_ride"]["without"]["cancels"]
 
 
 def test_a_worse_ride_is_said(tmp_path, capsys):

@@ -82,7 +82,7 @@ def test_every_method_is_a_function_of_a_problem():
     """Each line of the table names a function of a problem and a callback; a name that is none gives the nearest in one line."""
     assert {*BY_OTHER_KEYS, *DESIGNS} == {*METHODS}
     assert all(METHODS.load(name).__code__.co_varnames[:2] == ("problem", "progress") for name in METHODS)
-    with pytest.raises(InputError, match="design method 'h_2' is not known; known are h2, "):
+    with pytest.raises(InputError, match="design method 'h_2' is not known; give one of h2, "):
         METHODS.load("h_2")
 
 

@@ -40,7 +40,7 @@ def lvm_text(text: str) -> str:
     if columns == "multi" and len({*starts}) * len({*steps}) != 1:
         raise InputError("the channels have different X0 or Delta_X; export channels with the same times, with one X column")
     if columns == "no" and not (starts and steps):
-        raise InputError("X_Columns is 'No', and there is no X0 or Delta_X; export the file with one X column")
+        raise InputError("X_Columns is 'No', and X0 or Delta_X is missing, so times are unknown; export one X column")
     start, step = (float(one[0].replace(",", ".")) if columns == "no" else 0.0 for one in (starts, steps))
     kept = range(1, len(names), 2 if columns == "multi" else 1)
     units = [*segment.get("Y_Unit_Label", ()), *[""] * len(names)]

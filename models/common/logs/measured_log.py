@@ -110,7 +110,7 @@ def read_measured_log(
                 f"no column is called time (columns: {found}); name it as in time [s], or give the sample rate (--beside-rate)"
             )
         if rate is not None and clocks:
-            raise InputError(f"{columns_in_words(clocks[:1])} contains times; omit the sample rate (--beside-rate)")
+            raise InputError(f"{columns_in_words(clocks[:1])} contains times, which give the sample rate; omit --beside-rate")
         used = _columns_of([one for one in headings if one not in clocks], units, columns)
         remarks = left_out_words(headings, [one.column for one in (*used.values(), *clocks[:1])])
         stamped = rate is None and ":" in next(table.rows())[1][clocks[0].column - 1]  # the column contains times of day
@@ -122,7 +122,7 @@ def read_measured_log(
         time = time - time[0] if stamped else time
         for i in np.flatnonzero(np.diff(time) < 0)[:1]:
             raise InputError(
-                f"time falls from {time[i]:.9g} to {time[i + 1]:.9g} s at line {lines[i + 1]}; give one test in each file"
+                f"time falls from {time[i]:.9g} to {time[i + 1]:.9g} s at line {lines[i + 1]}; write each test to its own file"
             )
         new = np.append(True, np.diff(time) > 0)  # successive times may be equal after rounding
         if new.sum() < LEAST:

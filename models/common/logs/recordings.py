@@ -44,7 +44,7 @@ def mdf_rows(path: Path) -> list[Sequence[Any]]:
                         key = f"{name} [{one.unit}]" if one.unit else name
                         columns.setdefault(key, (one.timestamps, one.samples.astype(float)))
     except Exception as error:  # a parser of the package may raise its own type of error
-        raise InputError(f"it is not an MDF4 file, or is damaged ({error}); export it again") from error
+        raise InputError(f"this is not an MDF4 file, or it is damaged ({error}); export the file again") from error
     return _rows(columns, "the file has no channel of numbers; export channels over time")
 
 
@@ -77,7 +77,7 @@ def mcap_rows(path: Path) -> list[Sequence[Any]]:
                 for numbers in fields[topic].values():
                     numbers += [math.nan] * (len(logged[topic]) - len(numbers))
     except (McapError, ValueError) as error:
-        raise InputError(f"it is not an MCAP file with messages in JSON, or is damaged ({error}); write it again") from error
+        raise InputError(f"this is not an MCAP file with JSON messages, or it is damaged ({error}); write it again") from error
     stamped = all(np.isfinite(one).all() for one in own.values())
     first = min((one[0] for one in logged.values()), default=0)
     columns = dict[str, tuple[Array, Array]]()

@@ -63,10 +63,10 @@ class Hysteretic(Part):
     def __post_init__(self) -> None:
         _, b, g, _ = self.law
         if b + g <= 0:
-            raise InputError(f"beta + gamma = {b + g:g} is not allowed; give a sum above 0, which limits the force")
+            raise InputError(f"beta + gamma = {b + g:g} is not allowed; give a sum above 0, so that the force is bounded")
         if (most := self.largest_voltage) is None:
             if self.bandwidth is not None:
-                raise InputError("bandwidth has no effect on a constant voltage; omit bandwidth, or give largest_voltage")
+                raise InputError("bandwidth acts only on a voltage that changes; give largest_voltage, or omit bandwidth")
             return
         if self.voltage > most:
             raise InputError(

@@ -99,7 +99,7 @@ class StopSection(Section):
 
     def __post_init__(self) -> None:
         if self.stop is not None and self.stop_stiffness is not None:
-            raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
+            raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of the same key; omit one")
         if self.stop is not None:
             object.__setattr__(self, STOP_KEYS[1], self.stop)
             object.__setattr__(self, STOP, None)

@@ -91,16 +91,16 @@ def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None
     if not force.any():
         if stroke is None:
             return None
-        raise InputError("its table has no force on this side; give it over the compression of the stop")
+        raise InputError("its table has no force at positive compression; give the force over the compression of the stop")
     first = int(np.flatnonzero(force)[0]) - 1
     if first < 0 or (stroke is None and not u[first]):
         raise InputError(
             f"its table pushes back with {force[first + 1]:.6g} N at {u[first + 1]:g} m, without a point where contact "
-            f"begins; begin with 0 N at contact, or add a stop that touches at rest to the spring: "
-            "suspension_stiffness = [22e3, { ... }]"
+            "begins; begin with 0 N at contact, or add a stop that touches at rest to the spring: suspension_stiffness = "
+            "[22e3, { ... }]"
         )
     if stroke is not None and u[first]:
-        raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of them")
+        raise InputError(f"its table has a gap of {u[first]:g} m, but suspension_stroke is {stroke:g} m; omit one of these gaps")
     if force[-1] < force[-2]:
         raise InputError(
             f"its table ends with a falling force, {force[-1]:.6g} N, and continues at its last slope; make the last slope "
@@ -194,13 +194,13 @@ def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> B
                 stop = stop_of(spring, sign, length)
                 if stop is None and isinstance(stiffness, StopPair):
                     here, there = ("compression", "extension")[:: -int(sign)]
-                    own = ", or also give suspension_stroke if it is over the compression of the stop itself"
+                    own = ", or give suspension_stroke if the table is over the compression of the stop itself"
                     raise InputError(
-                        f"its table has no force in {here}, only in {there}; give it over {here}{own if sign > 0 else ''}"
+                        f"its table has no force in {here}, only in {there}; give forces in {here}{own if sign > 0 else ''}"
                     )
         elif isinstance(stiffness, StopPair) and isinstance(stroke, StopPair) and (length is None) != (spring is None):
             has, other = STOP_KEYS[:: 1 if spring is None else -1]
-            raise InputError(f"{side}: {has} has a value, but {other} has no {side}; give both or neither")
+            raise InputError(f"{side}: {has} is given, but {other} is not given for {side}; give both or neither")
         elif length is not None and spring is not None:
             first, second, third = (*(spring if isinstance(spring, tuple) else (spring,)), 0.0, 0.0)[:MOST]
             stop = Stop(length, (first, second, third))
@@ -219,7 +219,7 @@ def read_stop_table(value: Mapping[str, Any]) -> StopTable:
     given = read(HERE, StopTableSection, value)
     x, force = (-values[::-1] for values in given.points)
     if not force.any():
-        raise InputError(f"{HERE} has a table without a force that resists bump or rebound")
+        raise InputError(f"{HERE} has a table in which every force is 0; give forces that resist bump or rebound")
     if x[-1] < 0 and not force[-1]:
         x, force = np.append(x, 0.0), np.append(force, 0.0)  # the table of a rebound stop begins where the stop makes contact
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
@@ -259,7 +259,7 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
         if stiffness is None if stroke is not None else polynomial:
             where = f" of {corner}" if corner and len(places) > 1 else ""
             raise InputError(
-                f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
+                f"[limits] a bump stop needs both suspension_stroke [m] and stop_stiffness [N/m]{where}; give both or neither"
             )
         with error_in(f"[limits] stop{f' of {corner}' if corner else ''}"):
             if stiffness is not None:

@@ -111,10 +111,10 @@ def _history(text: str, source: str) -> History:
             raise InputError(f"line {lines[i]}: {name} is {column[i]:g}, but at most {LARGEST:g} (SI) is allowed; correct it")
     time = values.pop("time")
     for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
-        raise InputError(f"line {lines[i + 1]}: time {time[i + 1]:g} s is not after the time of the row before; sort the rows")
+        raise InputError(f"line {lines[i + 1]}: time {time[i + 1]:g} s is not after the time of the previous row; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
-        raise InputError(f"the load begins at {time[0]:g} s, but {acting[0]} is not 0 there; begin at 0 s, or with a load of 0")
+        raise InputError(f"the load begins at {time[0]:g} s, but {acting[0]} is not 0 then; begin at 0 s, or with a load of 0")
     return History(source, time, values)
 
 

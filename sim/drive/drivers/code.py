@@ -51,8 +51,8 @@ class CodeDriver:
         for one, code, vehicle in zip(self._controllers, self._codes, vehicles, strict=True):
             if not is_law_of(code.law, vehicle, one):
                 raise InputError(
-                    f"controller {one.name!r} has another law or implementation in this run than in the exported code; "
-                    "omit --as, or export the controller again"
+                    f"the law or implementation of controller {one.name!r} in this run differs from the exported code; omit "
+                    "--as, or export the controller again"
                 )
         self._steps, self._range = [code.start() for code in self._codes], None
         self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * len(law.outputs) for code in self._codes])

@@ -163,7 +163,7 @@ def describe(
         tables += [Table.of("gains", "L2 gains from road to z in MuJoCo.", GAINS, bounded)] * bool(bounded)
         tables += _details(sweeps)
     if own:
-        caption = "Describing functions: fundamentals per road velocity, and the share of energy at other frequencies."
+        caption = "Describing functions: fundamental divided by road velocity, and share of energy at other frequencies."
         moving = [(one, i) for one in own for i in one.moving]
         detail = "normal" if len(moving) <= MANY else "full"
         tables.append(Table.of("describing-functions", caption, MOVING_PARTS, moving, 3, detail=detail))

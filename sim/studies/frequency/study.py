@@ -82,7 +82,7 @@ class SweepStudy(SweepCommand):
         _, *lines = text_lines(replace(document, blocks=tuple(shown)), "full" if verbose and not several else "normal")
         if several:
             lines += text_lines(summarize(result.sweeps, result.own))[1:]
-            lines.append("  not shown (--controller NAME -v, or --json): gains, signals, tyre loads")
+            lines.append("  shown only with --controller NAME -v, or --json: gains, signals, tyre loads")
         elif verbose and result.sweeps:
             lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
         elif result.sweeps:

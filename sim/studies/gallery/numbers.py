@@ -124,7 +124,7 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
     poles = poles[poles.imag >= 0]
     if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
         raise InputError(
-            f"at = {list(one.at)} does not name a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
+            f"at = {list(one.at)} does not select a pole; give [0 to {len(poles) - 1}, 0 (real part) or 1 (imaginary part)]"
         )
     k, part = one.at
     # The values are rounded, so that rounding errors do not determine the order of undamped poles
@@ -143,7 +143,7 @@ def _recovery(designer: Designer, one: PrintedNumber) -> float:
     begins = getattr(one.road, "start", 0.0)
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
     if last is None or math.isinf(last):
-        raise InputError(f"{one.text}: the signal never leaves the band, or never settles; move this number to `missing`")
+        raise InputError(f"{one.text}: the signal never leaves the band, or never settles; list this number under `missing`")
     return last
 
 
@@ -158,7 +158,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
         metrics = _steps(run_of_number(designer, one), one.band)[one.signal].continuous
         value = None if metrics is None else getattr(metrics, key)
         if value is None:
-            raise InputError(f"{one.text}: the signal is {metrics and metrics.settled}; move this number to `missing`")
+            raise InputError(f"{one.text}: the signal is {metrics and metrics.settled}; list this number under `missing`")
         return value
 
     return found
@@ -210,7 +210,7 @@ def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     least = one.timestep / 10
     if one.what not in OF_A_GRID or not least <= one.grid <= one.duration:
         raise InputError(
-            f"grid = {one.grid:g} s of {one.what} is not allowed; give a number from {least:g} s to the duration, or omit it"
+            f"grid = {one.grid:g} s of {one.what} is not allowed; give a number from {least:g} s to the duration, or omit grid"
         )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = pieces_of(designer, one).at(times)

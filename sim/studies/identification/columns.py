@@ -138,7 +138,7 @@ def _lines(
             yield "# No heading names the height of the road: add [signals.road_displacement], or change road."
             yield '# If the log is from a random road at constant speed: road = "iso8608:class=C", and speed = "20 m/s"'
     else:
-        yield f"road = {toml_value(UNKNOWN)}      # no heading names the road, so the acceleration of the hub drives the body"
+        yield f"road = {toml_value(UNKNOWN)}      # no heading names the road, so the input is the acceleration of the hub"
     yield 'start = "estimated"   # or "rest"'
     if any("mujoco" in one.column.lower().split() for each in sections.values() for one in each):
         yield 'heights = "held"      # constant during each step, as in a log of roadproof drive'

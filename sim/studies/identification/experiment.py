@@ -89,7 +89,7 @@ class Experiment:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.road).all() and np.isfinite(self.forces).all()):
-            raise InputError(f"{self.name}: a road height or a force is missing (NaN); split the log there")
+            raise InputError(f"{self.name}: a road height or a force is missing (NaN); split the log at this gap")
         for one in self.channels:
             if not one.counted.any():
                 raise InputError(f"{self.name}: {one.signal} has no value, only NaN; omit this channel")

@@ -154,7 +154,7 @@ def _small(vehicle: Vehicle, name: str, units: Mapping[str, str]) -> float:
     kind = vehicle.kind
     stiffness, mass = (p.get(kind.of_corner(one, ending), 0.0) for one in ("tyre_stiffness", "unsprung_mass"))
     if units.get(name) != "N s/m" or not stiffness or not mass:
-        raise InputError(f"{name} is 0 in the file; give an initial value above 0 there, and then free it")
+        raise InputError(f"{name} is 0 in the file, but an estimate starts above 0; give a value above 0 in the file")
     return 2 * SMALL_START * float(np.sqrt(stiffness * mass))
 
 

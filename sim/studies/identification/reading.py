@@ -120,10 +120,10 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     road, origin = _road(keys, vehicle, driving, heights, time[0] + step * np.arange(count))
     forces = np.array([driving.get(name, np.zeros(count)) for name in acting]).reshape(len(acting), count).T
     if not values:
-        raise InputError(f"no measured signal; give a column of one of {list_names(readable[:6])}")
+        raise InputError(f"the log has no measured signal; give a column of one of {list_names(readable[:6])}")
     unknown = [name for name in values if name not in readable]
     if unknown:
-        raise InputError(f"{list_names(unknown)} cannot be compared; omit it")
+        raise InputError(f"the vehicle does not predict {list_names(unknown)}; omit this column")
     for name in list(values):
         values[name], more = _counted(name, values[name], signal_units(kind)[name])
         remarks += more
@@ -220,7 +220,7 @@ def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: 
     if keys.road in ROADS:
         missing = [name for name in names if name not in driving]
         if missing:
-            what = "hub accelerations drive the vehicle, but" if keys.road == UNKNOWN else 'road = "logged", but'
+            what = "the input is the acceleration of the hubs, but" if keys.road == UNKNOWN else 'road = "logged", but'
             raise InputError(
                 f"{what} no column is {list_names(missing)}; add it to the map, or give another road: flat, unknown, or a file"
             )
@@ -241,7 +241,7 @@ def _random_road(keys: LogKeys, vehicle: Vehicle) -> Iso8608 | None:
     if not keys.speed:
         raise InputError(f'road = {short_repr(keys.road)} needs the speed of the vehicle; add a line such as speed = "20 m/s"')
     if vehicle.parts.nonlinear:
-        raise InputError("a random road needs straight springs and dampers; give the heights of the road, or fix the parts")
+        raise InputError("a random road needs linear springs and dampers; give road heights, or a vehicle with linear ones")
     built = road.build(vehicle, keys.speed, 0, 0.0)
     assert isinstance(built, Iso8608)
     return built
@@ -337,9 +337,9 @@ def _slow(road: Array, step: float, late: float) -> list[str]:
     usual = float(np.searchsorted(np.cumsum(power.sum(axis=1)), power.sum() / 2)) / (step * len(velocity))
     if 2 * np.pi * usual * late > MOST_PHASE:
         raise InputError(
-            f"times are off by up to {rough(1e3 * late)} ms, which is {rough(2 * np.pi * usual * late)} rad of the road's "
-            f"{rough(usual)} Hz (sampled at {rough(1 / step)} Hz): the road's phase is not known; export times with more digits, "
-            "or sample faster"
+            f"times are off by up to {rough(1e3 * late)} ms, a phase of {rough(2 * np.pi * usual * late)} rad at the road's "
+            f"usual {rough(usual)} Hz (sampled at {rough(1 / step)} Hz), so the road's phase is unknown; export times with "
+            "more digits, or sample faster"
         )
     slow = power[: max(1, math.ceil(len(power) / 2))].sum() / max(power.sum(), 1e-300)
     if slow >= COARSE:

@@ -171,7 +171,7 @@ def statements(of: Identification) -> Iterator[Statement]:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
             f"Another vehicle fits equally well: {values}. These signals cannot distinguish the suspension from the tyre; "
-            "measure the hub.",
+            "measure the motion of the hub.",
             "ends",
         )
     if estimate.noiseless:
@@ -192,7 +192,7 @@ def statements(of: Identification) -> Iterator[Statement]:
         )
     for cause in of.causes[:3]:
         yield Statement(
-            f"The residuals contain {cause.words}. This explains {percent(cause.share)} of the squares of the residuals.", "ends"
+            f"The residuals contain {cause.words}. This explains {percent(cause.share)} of the sum of squared residuals.", "ends"
         )
 
 
@@ -236,12 +236,12 @@ def describe_plans(each: Sequence[ChirpPlan]) -> Document:
     """Describes test plans: the chirps, and the standard deviation of each parameter with the best chirp."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
-    caption = "chirps for the posts of a rig, with the largest relative standard deviation of a parameter"
+    caption = "chirps for the posts of a rig, each with the largest relative standard deviation of any parameter"
     return Document(
         "Plan",
         (
             Table.of("plans", caption, PLANS, each),
-            *notes(f"Relative standard deviations with the first chirp: {', '.join(rows)}."),
+            *notes(f"Relative standard deviations of the parameters with the first chirp: {', '.join(rows)}."),
         ),
     )
 

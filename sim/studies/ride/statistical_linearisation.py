@@ -321,7 +321,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     )
     rest, accuracy = (
         line.remainder,
-        ("Rms and dynamic load are exact to 1 %; vdv can be up to 4 % too high, energy up to 5 %, and crest up to 8 %. "),
+        ("Rms and dynamic load are accurate to 1 %; vdv can be up to 4 % too high, energy up to 5 %, and crest up to 8 %. "),
     )
     if rest is not None and rest.sharp:
         accuracy = (
@@ -330,7 +330,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
         )
         friction = "As with friction, rms is accurate to within 3 %, and dynamic load is up to 8 % too low"
     else:
-        friction = "With friction, rms and dynamic load are exact to 4 %"
+        friction = "With friction, rms and dynamic load are accurate to 4 %"
     return [
         f"Expected values use statistical linearisation {'with' if line.remainder else 'without'} second-order remainders. "
         f"Slopes of the straight lines that replace curves on this road: {'; '.join(slopes)}.{note}",

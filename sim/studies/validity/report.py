@@ -209,15 +209,15 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
         if end and end not in confirmed
     ]
     if wrong:
-        failed.append(f"For {names_text(wrong)}, no height is claimed, because MuJoCo does not agree over {where}.")
+        failed.append(f"For {names_text(wrong)}, no height is claimed: MuJoCo differs from linear analysis over {where}.")
     which = "the analysis with semi-active dampers" if vehicle.dampers else "linear analysis"
     which += "" if vehicle.ideal else f" of the implemented loop{noise}"
     text = f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s, {which} is valid up to a height of: {'; '.join(heights)}."
     if confirmed:
         off = at_most(max(end.error for end in confirmed))
         text += (
-            f" MuJoCo{noise} simulated bumps that are {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no "
-            "limit is reached, "
+            f" MuJoCo{noise} simulated bumps that are {percent(WITHIN - 1)} lower and higher than these heights. Over the "
+            "lower bumps, no limit is reached, "
         )
         which = NONLINEAR if vehicle.parts.nonlinear else "analysis"
         text += f"and {which} is within {off} of every peak. Over the higher bumps, this limit is reached."

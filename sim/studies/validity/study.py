@@ -47,7 +47,7 @@ class EnvelopeStudy(EnvelopeCommand):
         if not 0 < options.threshold < 1:
             raise InputError(f"threshold = {options.threshold:g} is not allowed; give a number above 0 and below 1, such as 0.05")
         if abs(bumps[0].height) < LOWEST:
-            raise InputError(f"height = {bumps[0].height:g} m is too small; give at least {LOWEST:g} m, up or down")
+            raise InputError(f"height = {bumps[0].height:g} m is too small; give a magnitude of at least {LOWEST:g} m")
         shortest, longest = (pick(bumps, key=lambda bump: bump.duration) for pick in (min, max))
         shortest.check(request.vehicle, time)
         if longest.duration > time[-1]:
@@ -126,7 +126,7 @@ class EndsStudy(Study[list[RegimeEnd | None]]):
         return regime_ends(ideal_measurements(request.vehicle), request.stable, Bump(), time)
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
-        runs = f"{BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
+        runs = f"{BUMP_DURATION:g} s with a timestep of {1e3 * scope.timestep:g} ms"
         return [
             describe_ends(
                 scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing_names, Bump(), scope.where, runs

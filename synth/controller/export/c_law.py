@@ -174,7 +174,7 @@ def exported_law(
     if driver.linear and any(one.ratio != 1 for one in vehicle.parts.adjustable):
         raise InputError("a linear law on semi-active dampers with a motion ratio cannot be exported; export a semi-active law")
     if vehicle.dampers and len(vehicle.parts.adjustable) != len(model.inputs):
-        raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions one kind")
+        raise InputError("semi-active dampers and force actuators cannot be exported together; give each the same kind")
     if how.delay != int(how.delay):
         raise InputError(
             f"delay = {how.delay:g} samples is not an integer, but code sets forces only at samples; give {int(how.delay)}"

@@ -161,7 +161,7 @@ class MultiObjectiveProblem(CheckedFields):
         for name, members in (("peaks", [len(member.driven_by) for member in self.members]), ("bests", [len(self.members)])):
             given = getattr(self, name)
             if given is not None and any(len(given) != count for count in members):
-                raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each peak or member")
+                raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each peak or family member")
         fewest = min(len(member.plants) for member in self.members)
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:

@@ -179,8 +179,8 @@ def periodograms(experiment: Experiment) -> Iterator[Periodograms]:
         )
     if total < FEWEST:
         raise InputError(
-            f"{experiment.name}: the log has only {total} frequencies between {rough(low)} and {rough(high)} Hz; give a longer "
-            "log, or a wider band of the road"
+            f"{experiment.name}: the log has only {total} frequencies between {rough(low)} and {rough(high)} Hz; give a "
+            "longer log, or a road with a wider band"
         )
 
 
