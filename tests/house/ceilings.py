@@ -25,7 +25,7 @@ what all commands share: files, options, checks, tables of numbers   3493   2323
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6518   2042    359
+vehicle file, types, equations, MJCF                           6518   2046    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -77,7 +77,7 @@ anti-windup, integrals, compatible options                      432   1155      
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
 fixed order, PI, PID                                            896    331      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
-goals, families, trade-off front                               3775   1556    136
+goals, families, trade-off front                               3775   1556    137
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
@@ -91,7 +91,7 @@ sampled data: norm, bound, designs, rates                      2170   1235     8
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/how-to/sampled-data-design.md
-export: C99, fixed point, FMI, MATLAB                          3386   1448    112
+export: C99, fixed point, FMI, MATLAB                          3385   1448    112
     synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/{export,simulink}.md
 full-order H-infinity                                           967    741    118
@@ -120,7 +120,7 @@ plant algebra, filters, any plant                              3223   2128    33
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3640    660    187
+synth command, controller record, designer                     3640    660    188
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
@@ -133,7 +133,7 @@ recordings: MCAP, Foxglove, Rerun                              2325   1142     4
 page and figures                                               3756   1381     79
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      3015   1797    208
+campaigns                                                      3014   1797    208
     sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/campaign.md
     docs/how-to/tune-a-law.md
 studies: one noun for commands and the page                     462      0      0
@@ -155,7 +155,7 @@ ride metrics and their expectation                             3387   1287      
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       690    319    106
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              4221    663    272
+identification from measured logs                              4221    663    273
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1327    371     35
@@ -169,7 +169,7 @@ MuJoCo loop                                                    2984   1098      
 linear responses                                               1089    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2788   1052    112
+runs, verdict, their text                                      2788   1052    113
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
@@ -179,7 +179,7 @@ commands that drive                                            1177    997    38
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5863   2405
+house, pages, benchmarks                                          0   5861   2405
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
