@@ -186,7 +186,7 @@ def explanations(result: Recommendation, shown: int) -> list[str]:
     """Returns the sentences below a table that contains `shown` rows."""
     task, what, known, column = result.task, WORDS[result.task.goal], result.task.letters, COLUMNS[GOALS[result.task.goal]]
     where = f"Numbers of MuJoCo over {f'{task.roads} roads' if task.roads > 1 else 'the road'}"
-    more = f" {len(result.rows) - shown} more candidates are in --json." * (len(result.rows) > shown)
+    more = f" Only with --json: {len(result.rows) - shown} more of the candidates." * (len(result.rows) > shown)
     texts = [
         f"{where if all(row.driven for row in result.rows) else 'Expected values'}; travel in % of the stroke. {BEST}: "
         f"recommended; !: exceeds the limit. Sensors: {', '.join(f'{letter} {name}' for name, letter in known.items())}.{more}"

@@ -154,7 +154,7 @@ class Task:
     @property
     def assumed(self) -> list[str]:
         """Sentences that state the assumed values of limits that the file does not contain."""
-        most, force, texts = brief(1e3 * max(map(min, self.strokes.values()))), brief(max(self.forces.values())), list[str]()
+        most, force, texts = brief(1e3 * max(map(min, self.strokes.values()))), f"{max(self.forces.values()):.0f}", list[str]()
         if not all(self.pushed.parts.strokes.get(name) for name in self.strokes):
             texts.append(f"The file has no suspension_stroke: {most} mm are assumed, {TRAVEL:g} times the passive peak travel.")
         if self.pushed.limits.actuator_force is None and not self.vehicle.dampers:
