@@ -26,7 +26,7 @@ from sim.studies.recommend.recommend import recommendation
 from sim.studies.recommend.result import RECORD, RankedContender, Recommendation, save
 from sim.studies.recommend.search import families
 from sim.studies.recommend.task import Contender, Task
-from sim.studies.recommend.within import MOST_GAIN, Usage, Within, read_within
+from sim.studies.recommend.within import LIFT_RESERVE, MOST_GAIN, Usage, Within, read_within
 from sim.studies.ride.expected import expect
 from sim.studies.ride.scores import strokes_used
 from synth import GeneralizedPlant, lqg_design
@@ -122,10 +122,10 @@ def test_wrong_limits(text):
 
 
 def test_each_limit_counts():
-    """Each limit is used by its own share, and a reserve is of stroke and force alone."""
+    """Each limit is used by its own share, and a reserve is of stroke and force, and a larger one of the time off the ground."""
     usage = Usage(0.95, 1.0, 2.0, 0.3, 1e-3)
     assert [*Within().used(usage).values()] == pytest.approx([1.0] * 5)
-    assert [*Within().used(usage, 0.5).values()] == pytest.approx([2.0, 2.0, 1.0, 1.0, 2.0**12])
+    assert [*Within().used(usage, 0.5).values()] == pytest.approx([2.0, 2.0, 1.0, 1.0, 1 / (1 - LIFT_RESERVE)])
     assert not Within(None, None, None, None, None).used(usage)
 
 

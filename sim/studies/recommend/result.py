@@ -20,7 +20,7 @@ from models.vehicle.vehicle import parse_vehicle
 from sim.studies.recommend import GOALS
 from sim.studies.recommend.rating import Rating
 from sim.studies.recommend.task import Contender, Task
-from sim.studies.recommend.within import MOST_GAIN, TAIL, Usage
+from sim.studies.recommend.within import LIFT_RESERVE, MOST_GAIN, Usage
 from sim.studies.ride.scores import COLUMNS, FIELDS
 from synth.command.save import controller_section
 from synth.controller.disk_margin import DiskMargin
@@ -206,8 +206,8 @@ def explanations(result: Recommendation, shown: int) -> list[str]:
             each.append(f"{''.join(known[one] for one in groups)} {number}")
         usual, unit = " on class C" * (not task.random), f" [{column.unit}]" * bool(column.unit)
         texts.append(f"Expected {what}{usual} of the best LQG with different sensors{unit}: {', '.join(each)}.")
-    kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
-    reserve = f"{SHARE.text(kept)} of stroke and force, and {SHARE.text(lift)} of the time off the ground"
+    kept = result.reserve
+    reserve = f"{SHARE.text(kept)} of stroke and force, and {SHARE.text(LIFT_RESERVE)} of the time off the ground"
     texts += [*task.assumed, f"Limits: {task.within.text}.{f' A reserve is kept for other roads: {reserve}.' * bool(kept)}"]
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []
