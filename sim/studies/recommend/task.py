@@ -11,7 +11,7 @@ from scipy import linalg
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
-from models.common.printed import brief
+from models.common.printed import brief, three_digits
 from models.kinds.kind import GRAVITY
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, track_width
@@ -154,7 +154,11 @@ class Task:
     @property
     def assumed(self) -> list[str]:
         """Sentences that state the assumed values of limits that the file does not contain."""
-        most, force, texts = brief(1e3 * max(map(min, self.strokes.values()))), f"{max(self.forces.values()):.0f}", list[str]()
+        most, force, texts = (
+            brief(1e3 * max(map(min, self.strokes.values()))),
+            three_digits(max(self.forces.values())),
+            list[str](),
+        )
         if not all(self.pushed.parts.strokes.get(name) for name in self.strokes):
             texts.append(f"The file has no suspension_stroke: {most} mm are assumed, {TRAVEL:g} times the passive peak travel.")
         if self.pushed.limits.actuator_force is None and not self.vehicle.dampers:
