@@ -25,7 +25,7 @@ what all commands share: files, options, checks, tables of numbers   3477   2323
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6488   2043    359
+vehicle file, types, equations, MJCF                           6488   2042    359
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -125,7 +125,7 @@ synth command, controller record, designer                     3624    660    18
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
-log re-verification                                             937    579     43
+log re-verification                                             942    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
 recordings: MCAP, Foxglove, Rerun                              2304   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
@@ -149,13 +149,13 @@ recommendation of a controller                                 1637    400    21
     docs/how-to/{recommend,sensors-and-controllers}.md docs/tutorials/best-controller.md
 frequency, sweep                                               2143    614     38
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3370   1287      0
+ride metrics and their expectation                             3375   1287      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       686    319    106
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              4183    663    272
+identification from measured logs                              4269    702    276
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1313    371     35
@@ -179,7 +179,7 @@ commands that drive                                            1174    997    38
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive,loads}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5852   2405
+house, pages, benchmarks                                          0   5865   2405
     tests/{__init__,conftest,same_numbers}.py tests/house/sample.py
     tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py

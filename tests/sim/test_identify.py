@@ -214,6 +214,45 @@ def test_wrong_units_and_signs_are_named(signal, factor, message):
         identified([wrong])
 
 
+def forced(gain: float, strength: float = 500.0, duration: float = 6.0, seed: int = 1) -> Experiment:
+    """Returns a log with a random control force [N], whose column contains the force times a number."""
+    road, random = chirp(duration), np.random.default_rng(5)
+    force = np.asarray(lfilter([0.2], [1, -0.8], strength * random.standard_normal((len(road), 1)), axis=0))
+    return replace(log(CAR, (BODY, TRAVEL), road, seed, forces=force), forces=gain * force)
+
+
+@pytest.mark.parametrize(
+    ("changes", "strength", "message"),
+    [
+        ({}, 500.0, "opposite sign of this vehicle's force"),
+        ({"suspension_stiffness": 1.5}, 100.0, "grow until the force has no effect"),
+    ],
+)
+def test_a_force_of_the_opposite_sign_is_named(changes, strength, message):
+    """A force of the wrong sign is refused: before the fit, or after a fit that makes all masses and stiffnesses infinite."""
+    start = CAR.altered({name: factor * P[name] for name, factor in changes.items()})
+    with pytest.raises(InputError, match=f"control_force .*{message}.*sign = -1 below .signals.control_force"):
+        identified([forced(-1.0, strength, 3.0)], start, fix=())
+    assert not identified([forced(1.0, strength, 3.0)], start, fix=()).remarks
+
+
+def test_a_force_in_another_unit_is_named():
+    """A force in kN gives masses in t, and a remark. With a known mass, the factor of the force is a cause of the misfit."""
+    of = identified([forced(1e-3, duration=3.0)], fix=())
+    assert of.estimate.values[MASS] == pytest.approx(1e-3 * P[MASS], rel=0.05)
+    assert "times their first values, in proportion to control_force" in of.remarks[0]
+    assert "such as km or kN" in of.remarks[0]
+    assert identified([forced(0.9, duration=3.0)]).causes[0].words.startswith("control_force scaled by a factor of 1.1")
+
+
+@pytest.mark.attack
+def test_an_interval_does_not_end_at_a_limit_of_the_search():
+    """If a force is too small to determine the scale, all masses, stiffnesses and dampings are open above."""
+    of = identified([forced(1.0, 1e-3)], fix=())
+    assert all(one.high is None for one in of.intervals.values())
+    assert said(of).count("is not determined in practice: its interval is open") == len(P)
+
+
 def test_a_delay_is_named():
     """A sensor that is 20 ms late is named as the first cause of residuals that are not white."""
     right = log(CAR, (BODY, TRAVEL), chirp(3, top=4.0))
