@@ -27,10 +27,10 @@ from sim.studies.identification.estimation.estimate import Estimate, estimate
 from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment
 from sim.studies.identification.identification import Identification, changed, identify, identify_experiments
-from sim.studies.identification.log_map import LogMap
+from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction
-from sim.studies.identification.reading import LogStretches
+from sim.studies.identification.reading import LogStretches, read_experiments
 from sim.studies.identification.report import statements, vehicle_text
 
 BODY, HUB, TRAVEL = "sprung_acceleration", "unsprung_acceleration", "suspension_deflection"
@@ -384,6 +384,23 @@ def test_a_first_map(tmp_path):
     assert sections == {BODY, HUB, TRAVEL, "road_displacement"}
     assert 'column = "shock travel [m]"  # the heading has no unit: m is assumed; many logs have mm' in text
     assert "# rig.csv, column 6: Temp" in text
+
+
+def test_plots_that_labview_exported(tmp_path):
+    """Each plot has a column of times in s, although its heading ends with the plot's unit; plots at other times are refused."""
+    path, car = tmp_path / "rig.csv", log(CAR, (TRAVEL,), chirp(1))
+    heading = '"Time - Plate, Road (m)","Amplitude - Plate, Road (m)",Time - shock travel (m),Amplitude - shock travel (m)'
+    rows = np.column_stack([car.time, car.road, car.time, car.channels[0].values])
+    np.savetxt(path, rows, delimiter=",", header=heading, comments="")
+    (tmp_path / "map.toml").write_text(map_text([path], CAR), encoding="utf-8")
+    read = read_experiments(path, CAR, read_map(tmp_path / "map.toml", CAR))
+    assert not read.remarks
+    np.testing.assert_allclose(read.experiments[0].road, car.road, atol=1e-12)
+    assert read.experiments[0].step == pytest.approx(car.step)
+    rows[:, 2] += 0.005
+    np.savetxt(path, rows, delimiter=",", header=heading, comments="")
+    with pytest.raises(InputError, match="contain different times"):
+        read_experiments(path, CAR, read_map(tmp_path / "map.toml", CAR))
 
 
 def test_a_log_in_parquet(tmp_path, monkeypatch):
