@@ -155,7 +155,7 @@ ride metrics and their expectation                             3375   1287      
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       704    319    108
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              4272    719    276
+identification from measured logs                              4315    729    276
     sim/identify.py sim/studies/identification/{*,estimation/*,spectra/*} tests/*/test_identify*.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1313    371     35

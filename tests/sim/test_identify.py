@@ -246,6 +246,16 @@ def test_a_force_in_another_unit_is_named():
 
 
 @pytest.mark.attack
+def test_logs_that_contradict_each_other_are_named():
+    """Two logs whose forces differ by a factor of 0.7 give other masses alone, and a remark; equal logs give no remark."""
+    logs = [forced(1.0, duration=2.0), replace(forced(0.7, duration=2.0, seed=2), name="second")]
+    remark = " ".join(identified(logs, fix=()).remarks)
+    assert "the logs contradict each other" in remark
+    assert "in second, and" in remark
+    assert not identified([logs[0], forced(1.0, duration=2.0, seed=2)], fix=()).remarks
+
+
+@pytest.mark.attack
 def test_an_interval_does_not_end_at_a_limit_of_the_search():
     """If a force is too small to determine the scale, all masses, stiffnesses and dampings are open above."""
     of = identified([forced(1.0, 1e-3)], fix=())

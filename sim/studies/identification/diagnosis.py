@@ -14,6 +14,7 @@ displacement alone does not find friction that a small motion fails to overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,7 +24,7 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError, list_names
 from models.common.printed import brief, rough
-from sim.studies.identification.estimation.estimate import Estimate
+from sim.studies.identification.estimation.estimate import WIDE, Estimate, estimate
 from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import signal_units
 from sim.studies.identification.prediction import LogPrediction, continuous_model
@@ -45,6 +46,7 @@ SURE = 5.0  # a cause is reported if its size is more than this many standard de
 LAGS = 25  # largest delay to try, in samples
 MOST_CAUSES = 3
 SCALED = frozenset(["kg", "kg m2", "N/m", "N s/m", "N m/rad"])  # units of the parameters that are proportional to a force
+APART = 1.2  # values of a parameter in two logs count as a contradiction if they differ by a larger factor than this
 UNLIKELY = 10.0  # a remark is printed if the scale of all parameters changes by a larger factor than this
 # The unknowns can also produce a part of a cause's effect. If the rest is a smaller share of the effect than this, the size of
 # the cause cannot be determined.
@@ -160,6 +162,36 @@ def _correlation(a: Array, b: Array) -> float:
     if both.sum() < 3 or not a[both].std() or not b[both].std():
         return 0.0
     return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def contradictions(of: Estimate) -> list[str]:
+    """Returns a remark for the parameter that differs most between the logs if each log is identified alone.
+
+    The logs are only compared if residuals are coloured, because logs without a common vehicle cannot have white residuals.
+    """
+    problem, alone = of.problem, list[tuple[str, Estimate]]()
+    if of.white or len(problem.experiments) < 2:
+        return []
+    for one in problem.experiments:
+        with suppress(InputError, np.linalg.LinAlgError):  # a log alone may determine no parameter
+            own = replace(problem, first={**problem.first, **of.values}, experiments=(one,))
+            alone.append((one.name, estimate(own, of.free, several=False)))
+    largest, words = 0.0, ""
+    for name in of.free:
+        each = [(log, one) for log, one in alone if name in one.free and set(one.ratios.get(name, {name})) == {name}]
+        each = sorted((pair for pair in each if pair[1].deviations[name] < WIDE), key=lambda pair: pair[1].values[name])
+        if len(each) < 2:
+            continue
+        (least, a), (most, b) = each[0], each[-1]
+        factor = b.values[name] / a.values[name]
+        sure = np.log(factor) > SURE * float(np.hypot(a.deviations[name], b.deviations[name]))
+        if sure and factor > max(largest, APART):
+            largest = factor
+            words = (
+                f"the logs contradict each other: {name} is {rough(a.values[name])} in {least}, and {rough(b.values[name])} in "
+                f"{most}, if each log is identified alone; the intervals do not include this difference"
+            )
+    return [words] if words else []
 
 
 def causes(of: Estimate) -> tuple[Cause, ...]:

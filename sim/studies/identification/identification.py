@@ -14,7 +14,16 @@ from models.common.printed import rough
 from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
-from sim.studies.identification.diagnosis import SCALED, Cause, airborne, causes, check_columns, check_forces, resonances
+from sim.studies.identification.diagnosis import (
+    SCALED,
+    Cause,
+    airborne,
+    causes,
+    check_columns,
+    check_forces,
+    contradictions,
+    resonances,
+)
 from sim.studies.identification.estimation.estimate import Estimate, estimate, nearby
 from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.estimation.profile import profile
@@ -212,7 +221,7 @@ def identify_experiments(
         problem, more = _on_the_ground(problem, air)
         remarks += more
         result = estimate(problem, tuple(first), seed)
-    remarks += check_forces(result)
+    remarks += [*check_forces(result), *contradictions(result)]
     mirror = _mirror(result, nearby)
     intervals = dict[str, Interval]()
     for name in result.free:
