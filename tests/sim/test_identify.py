@@ -27,10 +27,10 @@ from sim.studies.identification.estimation.estimate import Estimate, estimate
 from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import EXTENSION, FORCE, Channel, Experiment
 from sim.studies.identification.identification import Identification, changed, identify, identify_experiments
-from sim.studies.identification.log_map import LogMap
+from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.part_prediction import PartPrediction
 from sim.studies.identification.prediction import LogPrediction
-from sim.studies.identification.reading import LogStretches
+from sim.studies.identification.reading import LogStretches, read_experiments
 from sim.studies.identification.report import statements, vehicle_text
 
 BODY, HUB, TRAVEL = "sprung_acceleration", "unsprung_acceleration", "suspension_deflection"
@@ -214,6 +214,55 @@ def test_wrong_units_and_signs_are_named(signal, factor, message):
         identified([wrong])
 
 
+def forced(gain: float, strength: float = 500.0, duration: float = 6.0, seed: int = 1) -> Experiment:
+    """Returns a log with a random control force [N], whose column contains the force times a number."""
+    road, random = chirp(duration), np.random.default_rng(5)
+    force = np.asarray(lfilter([0.2], [1, -0.8], strength * random.standard_normal((len(road), 1)), axis=0))
+    return replace(log(CAR, (BODY, TRAVEL), road, seed, forces=force), forces=gain * force)
+
+
+@pytest.mark.parametrize(
+    ("changes", "strength", "message"),
+    [
+        ({}, 500.0, "opposite sign of this vehicle's force"),
+        ({"suspension_stiffness": 1.5}, 100.0, "grow until the force has no effect"),
+    ],
+)
+def test_a_force_of_the_opposite_sign_is_named(changes, strength, message):
+    """A force of the wrong sign is refused: before the fit, or after a fit that makes all masses and stiffnesses infinite."""
+    start = CAR.altered({name: factor * P[name] for name, factor in changes.items()})
+    with pytest.raises(InputError, match=f"control_force .*{message}.*sign = -1 below .signals.control_force"):
+        identified([forced(-1.0, strength, 3.0)], start, fix=())
+    assert not identified([forced(1.0, strength, 3.0)], start, fix=()).remarks
+
+
+def test_a_force_in_another_unit_is_named():
+    """A force in kN gives masses in t, and a remark. With a known mass, the factor of the force is a cause of the misfit."""
+    of = identified([forced(1e-3, duration=3.0)], fix=())
+    assert of.estimate.values[MASS] == pytest.approx(1e-3 * P[MASS], rel=0.05)
+    assert "times their first values, in proportion to control_force" in of.remarks[0]
+    assert "such as km or kN" in of.remarks[0]
+    assert identified([forced(0.9, duration=3.0)]).causes[0].words.startswith("control_force scaled by a factor of 1.1")
+
+
+@pytest.mark.attack
+def test_logs_that_contradict_each_other_are_named():
+    """Two logs whose forces differ by a factor of 0.7 give other masses alone, and a remark; equal logs give no remark."""
+    logs = [forced(1.0, duration=2.0), replace(forced(0.7, duration=2.0, seed=2), name="second")]
+    remark = " ".join(identified(logs, fix=()).remarks)
+    assert "the logs contradict each other" in remark
+    assert "in second, and" in remark
+    assert not identified([logs[0], forced(1.0, duration=2.0, seed=2)], fix=()).remarks
+
+
+@pytest.mark.attack
+def test_an_interval_does_not_end_at_a_limit_of_the_search():
+    """If a force is too small to determine the scale, all masses, stiffnesses and dampings are open above."""
+    of = identified([forced(1.0, 1e-3)], fix=())
+    assert all(one.high is None for one in of.intervals.values())
+    assert said(of).count("is not determined in practice: its interval is open") == len(P)
+
+
 def test_a_delay_is_named():
     """A sensor that is 20 ms late is named as the first cause of residuals that are not white."""
     right = log(CAR, (BODY, TRAVEL), chirp(3, top=4.0))
@@ -345,6 +394,23 @@ def test_a_first_map(tmp_path):
     assert sections == {BODY, HUB, TRAVEL, "road_displacement"}
     assert 'column = "shock travel [m]"  # the heading has no unit: m is assumed; many logs have mm' in text
     assert "# rig.csv, column 6: Temp" in text
+
+
+def test_plots_that_labview_exported(tmp_path):
+    """Each plot has a column of times in s, although its heading ends with the plot's unit; plots at other times are refused."""
+    path, car = tmp_path / "rig.csv", log(CAR, (TRAVEL,), chirp(1))
+    heading = '"Time - Plate, Road (m)","Amplitude - Plate, Road (m)",Time - shock travel (m),Amplitude - shock travel (m)'
+    rows = np.column_stack([car.time, car.road, car.time, car.channels[0].values])
+    np.savetxt(path, rows, delimiter=",", header=heading, comments="")
+    (tmp_path / "map.toml").write_text(map_text([path], CAR), encoding="utf-8")
+    read = read_experiments(path, CAR, read_map(tmp_path / "map.toml", CAR))
+    assert not read.remarks
+    np.testing.assert_allclose(read.experiments[0].road, car.road, atol=1e-12)
+    assert read.experiments[0].step == pytest.approx(car.step)
+    rows[:, 2] += 0.005
+    np.savetxt(path, rows, delimiter=",", header=heading, comments="")
+    with pytest.raises(InputError, match="contain different times"):
+        read_experiments(path, CAR, read_map(tmp_path / "map.toml", CAR))
 
 
 def test_a_log_in_parquet(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ A heading may contain the words of a signal name in any case and order: `Sprung 
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -22,6 +22,7 @@ from models.common.table import find_table, table_text
 from models.common.units import unit_size
 
 GIVE = "give a line of headings such as: time [s], sprung_acceleration [m/s2], and below it one line for each time"
+PLOT_TIME, AMPLITUDE = "Time - ", "Amplitude - "  # beginnings of the headings of a plot that LabVIEW exported
 GAP = 5.0  # longest time between two samples, relative to the median time; within longer gaps, the signals are unknown
 ROWS = 100  # the number of columns is determined from this number of rows, because the first row may end with missing cells
 LEAST = 3  # a log must have at least this number of samples
@@ -102,7 +103,7 @@ def read_measured_log(
         headings = table.headings({*units.values(), "s"}, alike=True)
         # The heading t_s means time in s, not the unit t/s.
         headings = [one if one.name or not one.text else heading_of(one.text, ("s",), one.column) for one in headings]
-        clocks = [one for one in headings if is_time(one)]
+        clocks = times_of(headings)
         clocks = [one for one in clocks if one.quantity == "time"] or clocks
         if rate is None and not clocks:
             found = first_few([short_repr(one.text) for one in headings if one.text], 8)
@@ -111,14 +112,20 @@ def read_measured_log(
             )
         if rate is not None and clocks:
             raise InputError(f"{columns_in_words(clocks[:1])} contains times, which give the sample rate; omit --beside-rate")
-        used = _columns_of([one for one in headings if one not in clocks], units, columns)
-        remarks = left_out_words(headings, [one.column for one in (*used.values(), *clocks[:1])])
+        timed = {one.column for one in clocks}
+        used = _columns_of([one for one in headings if one.column not in timed], units, columns)
+        clocks = clocks if clocks and clocks[0].text.startswith(PLOT_TIME) else clocks[:1]
+        remarks = left_out_words(headings, [one.column for one in (*used.values(), *clocks)])
         stamped = rate is None and ":" in next(table.rows())[1][clocks[0].column - 1]  # the column contains times of day
         bare = [(one, units[name]) for name, one in used.items()] + [(one, "s") for one in clocks[:1] if not stamped]
         remarks += [f"{columns_in_words([one])} has no unit; {unit} is assumed" for one, unit in bare if not one.unit]
         scales = [_scale(one, units[name], name) for name, one in used.items()]
         numbers, lines = table.numbers([one.column - 1 for one in used.values()], ragged=True, gaps=True)
         time = np.arange(len(numbers)) / rate if rate is not None else table.seconds(clocks[0], "s")
+        for other in clocks[1:] if rate is None and clocks[0].text.startswith(PLOT_TIME) else ():
+            if not np.array_equal(table.seconds(other, "s"), time, equal_nan=True):
+                both = columns_in_words([clocks[0], other])
+                raise InputError(f"{both} contain different times; export the plots with the same times")
         time = time - time[0] if stamped else time
         for i in np.flatnonzero(np.diff(time) < 0)[:1]:
             raise InputError(
@@ -139,6 +146,17 @@ def is_time(heading: Heading) -> bool:
     """Returns True for a column of times, including LabVIEW's name for such a column, X_Value."""
     named = "time" in {NAMES.get(word) for word in heading.words} or heading.name.lower() == "x_value"
     return named and (not heading.unit or unit_size(heading.unit, "s") is not None)
+
+
+def times_of(headings: Sequence[Heading]) -> list[Heading]:
+    """Returns the columns of times. LabVIEW exports a graph with a column `Time - NAME` and a column `Amplitude - NAME` per plot.
+
+    A heading `Time - NAME` can end with the unit of the plot. The times are in seconds.
+    """
+    named = [one for one in headings if is_time(one)]
+    plots = {one.text.removeprefix(AMPLITUDE) for one in headings if one.text.startswith(AMPLITUDE)}
+    pairs = [one for one in headings if one.text.startswith(PLOT_TIME) and one.text.removeprefix(PLOT_TIME) in plots]
+    return named or [replace(one, unit="s") for one in pairs]
 
 
 def name_key(text: str) -> frozenset[str]:

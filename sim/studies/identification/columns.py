@@ -7,7 +7,7 @@ from pathlib import Path
 
 from models.common.errors import InputError
 from models.common.files import reading
-from models.common.logs.measured_log import GIVE, is_time, name_key
+from models.common.logs.measured_log import GIVE, name_key, times_of
 from models.common.quantities import CORNERS, Heading, heading_of
 from models.common.table import find_table, table_text
 from models.common.toml_edit import toml_value
@@ -18,6 +18,7 @@ from sim.studies.identification.log_map import LOGGED, UNKNOWN
 # For each quantity, words that column headings use for it, then words for a place on the vehicle. All other words of a heading
 # are ignored.
 ACCELERATION = frozenset(["acc", "accel", "acceleration", "accelerometer", "accz", "az", "zacc"])
+LENGTH = frozenset(["displacement", "height", "position", "amplitude", "disp"])
 BODY, HUB = (
     frozenset(["body", "sprung", "chassis", "mass", "seat", "frame"]),
     frozenset(["hub", "unsprung", "wheel", "upright", "axle", "knuckle", "us"]),
@@ -34,7 +35,9 @@ WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {
     "unsprung_velocity": (VELOCITY, HUB, TRAVEL - {"suspension"}),
     "sprung_velocity": (VELOCITY, BODY, HUB),
     "suspension_deflection": (TRAVEL, frozenset(), VELOCITY | ACCELERATION | FORCE | ROAD | TYRE),
-    "road_displacement": (ROAD, frozenset(), VELOCITY | ACCELERATION | FORCE),
+    "road_displacement": (ROAD, frozenset(), VELOCITY | ACCELERATION | FORCE | BODY | TYRE | HUB - {"wheel"}),
+    "unsprung_displacement": (LENGTH, HUB | TYRE, TRAVEL | FORCE),
+    "sprung_displacement": (LENGTH, BODY, TRAVEL | FORCE | HUB | TYRE),
     "control_force": (FORCE, frozenset(), HUB),
 }
 ENDS = frozenset(["front", "rear", "left", "right"])
@@ -113,10 +116,10 @@ def map_text(paths: Sequence[Path], vehicle: Vehicle) -> str:
     sections, others, timed = dict[str, list[ColumnGuess]](), list[str](), True
     for path in paths:
         headings = read_headings(path, units)
-        clocks = [one for one in headings if is_time(one)][:1]
+        clocks = times_of(headings)
         timed = timed and bool(clocks)
         for heading in headings:
-            if heading in clocks:
+            if heading.column in {one.column for one in clocks}:
                 continue
             one = guess(heading, units)
             if one is None:

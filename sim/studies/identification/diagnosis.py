@@ -1,5 +1,8 @@
 """Diagnosis of a misfit: a delay, a wrong factor, sign or offset, friction, tyre damping, lift-off, or a resonance.
 
+Signals and forces are compared with the initial vehicle before the fit. Forces are tested again after the fit, because a force
+of the wrong sign then appears as masses, stiffnesses and dampings that grow without limit.
+
 Each cause changes the predicted signals in a known direction g. The part of g that a change of the unknowns (such as the
 parameters) could also produce is removed. The rest of g is fitted to the residuals by least squares, which gives the size of
 the cause. The share of a cause is the part of the residuals' sum of squares that it explains. This share is the score (Lagrange
@@ -11,24 +14,25 @@ displacement alone does not detect friction that small motion fails to overcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array, recursion
-from models.common.errors import InputError
-from models.common.printed import brief
-from sim.studies.identification.estimation.estimate import Estimate
+from models.common.errors import InputError, list_names
+from models.common.printed import brief, rough
+from sim.studies.identification.estimation.estimate import WIDE, Estimate, estimate
 from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.experiment import signal_units
-from sim.studies.identification.prediction import continuous_model
+from sim.studies.identification.prediction import LogPrediction, continuous_model
 from sim.studies.identification.whiteness import autoregressive
 
 FACTORS: Mapping[float, str] = {
     1000.0: "in thousandths of its unit, such as mm",
-    0.001: "in thousands of its unit, such as km",
+    0.001: "in thousands of its unit, such as km or kN",
     1 / 9.80665: "in g instead of m/s2",
     9.80665: "in m/s2 although its unit is g",
     57.29577951308232: "in degrees",
@@ -41,6 +45,9 @@ EXPLAINED = 0.03  # a cause is reported if it explains a larger share of the res
 SURE = 5.0  # a cause is reported if its size is more than this many standard deviations
 LAGS = 25  # largest delay to try, in samples
 MOST_CAUSES = 3
+SCALED = frozenset(["kg", "kg m2", "N/m", "N s/m", "N m/rad"])  # units of the parameters that are proportional to a force
+APART = 1.2  # values of a parameter in two logs count as a contradiction if they differ by a larger factor than this
+UNLIKELY = 10.0  # a remark is printed if the scale of all parameters changes by a larger factor than this
 # The unknowns can also produce a part of a cause's effect. If the rest is a smaller share of the effect than this, the size of
 # the cause cannot be determined.
 LEFT = 0.01
@@ -91,13 +98,63 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
             if own < -ALIKE:
                 raise InputError(
                     f"{one.name}: {channel.signal} has the opposite sign of this vehicle's prediction (correlation {own:.2f}); "
-                    f"write sign = -1 below [signals.{channel.signal}] in the map"
+                    f"{_reverse(channel.signal)}"
                 )
             others = [j for j in range(len(units)) if j != i and units[j] == units[i]]
             for j in others:
                 if j > i and min(correlations[i, j], correlations[j, i]) > max(ALIKE, own + 0.1, correlations[j, j] + 0.1):
                     remarks.append(f"{one.name}: the columns of {channel.signal} and {one.channels[j].signal} seem to be swapped")
+        for j, name in enumerate(problem.vehicle.linear_model.inputs):
+            if one.part or not one.forces[:, j].any():
+                continue
+            without = replace(one, forces=one.forces * (np.arange(one.forces.shape[1]) != j))
+            unforced = LogPrediction(without, prediction.changed)(problem.first, {}, start, delays, False).values
+            pairs = zip(one.channels, predicted.T, unforced.T, strict=True)
+            if all(_correlation(channel.values - rest, whole - rest) < -ALIKE for channel, whole, rest in pairs):
+                raise InputError(f"{one.name}: {name} has the opposite sign of this vehicle's force; {_reverse(name)}")
     return remarks
+
+
+def _reverse(signal: str) -> str:
+    return f"write sign = -1 below [signals.{signal}] in the map"
+
+
+def check_forces(of: Estimate) -> list[str]:
+    """Tests the measured forces after the fit; returns remarks.
+
+    A force determines the scale of all masses, stiffnesses and dampings. If the scale is multiplied by a number, the response to
+    the force is divided by this number. A force of the wrong sign therefore fits best with an infinite scale. The search stops
+    at a finite one, and the next Gauss-Newton step still reverses the response to the force.
+
+    Raises:
+        InputError: all forces together seem to have the opposite sign.
+    """
+    problem, kind = of.problem, of.problem.vehicle.kind
+    forces = [
+        name
+        for i, name in enumerate(problem.vehicle.linear_model.inputs)
+        if any(one.forces[:, i].any() for one in problem.experiments if not one.part)
+    ]
+    given = {one.name for one in kind.parameters if one.unit in SCALED and problem.vehicle.parameters.get(one.name)}
+    if not forces or problem.known or not given or not given <= {*of.free}:
+        return []
+    scaled = [i for i, name in enumerate(of.free) if name in given]
+    R, c = of.residuals.reduced(of.x, of.noise)
+    steps = -np.linalg.lstsq(R, c)[0][scaled]
+    if np.all(steps > 1 + SURE * np.sqrt(np.diag(of.spread)[scaled])):
+        raise InputError(
+            f"{list_names(forces)} seems to have the opposite sign, because masses, stiffnesses and dampings grow until the "
+            f"force has no effect; {_reverse(forces[0])}"
+        )
+    names = [of.free[i] for i in scaled]
+    scale = float(np.exp(np.mean([np.log(of.values[name] / problem.first[name]) for name in names])))
+    if max(scale, 1 / scale) < UNLIKELY:
+        return []
+    named = next((f" (it seems to be {words})" for factor, words in FACTORS.items() if abs(scale / factor - 1) < 0.5), "")
+    return [
+        f"masses, stiffnesses and dampings are on average {rough(scale)} times their first values, in proportion to "
+        f"{list_names(forces)}; check the unit of the force{named}"
+    ]
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -105,6 +162,36 @@ def _correlation(a: Array, b: Array) -> float:
     if both.sum() < 3 or not a[both].std() or not b[both].std():
         return 0.0
     return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def contradictions(of: Estimate) -> list[str]:
+    """Returns a remark for the parameter that differs most between the logs if each log is identified alone.
+
+    The logs are only compared if residuals are coloured, because logs without a common vehicle cannot have white residuals.
+    """
+    problem, alone = of.problem, list[tuple[str, Estimate]]()
+    if of.white or len(problem.experiments) < 2:
+        return []
+    for one in problem.experiments:
+        with suppress(InputError, np.linalg.LinAlgError):  # a log alone may determine no parameter
+            own = replace(problem, first={**problem.first, **of.values}, experiments=(one,))
+            alone.append((one.name, estimate(own, of.free, several=False)))
+    largest, words = 0.0, ""
+    for name in of.free:
+        each = [(log, one) for log, one in alone if name in one.free and set(one.ratios.get(name, {name})) == {name}]
+        each = sorted((pair for pair in each if pair[1].deviations[name] < WIDE), key=lambda pair: pair[1].values[name])
+        if len(each) < 2:
+            continue
+        (least, a), (most, b) = each[0], each[-1]
+        factor = b.values[name] / a.values[name]
+        sure = np.log(factor) > SURE * float(np.hypot(a.deviations[name], b.deviations[name]))
+        if sure and factor > max(largest, APART):
+            largest = factor
+            words = (
+                f"the logs contradict each other: {name} is {rough(a.values[name])} in {least}, and {rough(b.values[name])} in "
+                f"{most}, if each log is identified alone; the intervals do not include this difference"
+            )
+    return [words] if words else []
 
 
 def causes(of: Estimate) -> tuple[Cause, ...]:
@@ -164,6 +251,9 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
         if not all(one.offset_estimated for each in experiments for one in each.channels if one.signal == signal):
             unit = signal_units(problem.vehicle.kind)[signal]
             yield partial(_size_words, f"{signal} with an offset of {{}} {unit}"), _weighted(of, shifts)
+    for j, name in enumerate(problem.vehicle.linear_model.inputs):
+        if any(one.forces[:, j].any() for one in experiments if not one.part) and not problem.vehicle.parts.nonlinear:
+            yield partial(_gain_words, name), _weighted(of, [_by_force(of, i, j) for i in range(len(experiments))])
     for place in problem.vehicle.kind.suspensions:
         words = partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}")
         each = [_friction(of, i, place.force) for i in range(len(problem.predictions))]
@@ -250,6 +340,17 @@ def dahl_friction(travel: Array, lengths: Array) -> Array:
         pull[first + 1 : last + 1] = sign[first] + (pull[first] - sign[first]) * np.exp(-moved / lengths)
         first = last
     return pull
+
+
+def _by_force(of: Estimate, i: int, j: int) -> Array:
+    """Returns the signals of an experiment that control force j alone causes, shape (T, q)."""
+    one = of.problem.experiments[i]
+    if one.part:
+        return np.zeros_like(of.predicted[i])
+    own = one.forces * (np.arange(one.forces.shape[1]) == j)
+    alone = replace(one, road=np.zeros_like(one.road), forces=own, from_rest=True)
+    delays = of.residuals.delays(of.x, one)
+    return LogPrediction(alone, of.problem.predictions[i].changed)(of.values, {}, None, delays, False).values
 
 
 def _by_parameter(of: Estimate, name: str) -> list[Array]:

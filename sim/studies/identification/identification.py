@@ -14,7 +14,16 @@ from models.common.printed import rough
 from models.common.schema import SI
 from models.vehicle.vehicle import Vehicle
 from sim.runs.sampled_vehicle import with_sample
-from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
+from sim.studies.identification.diagnosis import (
+    SCALED,
+    Cause,
+    airborne,
+    causes,
+    check_columns,
+    check_forces,
+    contradictions,
+    resonances,
+)
 from sim.studies.identification.estimation.estimate import Estimate, estimate, nearby
 from sim.studies.identification.estimation.problem import IdentificationProblem
 from sim.studies.identification.estimation.profile import profile
@@ -31,7 +40,6 @@ if TYPE_CHECKING:
     from sim.studies.identification.allowed_result import AllowedResult
 
 LOWEST = 1e-6  # if the smallest allowed value of a number exceeds this, the search never goes below that value
-UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # units of the parameters that are estimated by default
 SMALL_START = 0.02  # initial value of a damping that is 0 in the file, relative to critical damping
 # if the standard deviation of a parameter's logarithm is larger than this, the confidence interval is computed from the profile
 # likelihood
@@ -132,7 +140,7 @@ def free_parameters(
     for name in fix:
         if name in free:
             raise InputError(f"{name} is both fixed and free; give it once")
-    first = {name: value for name, value in vehicle.parameters.items() if "" in parts and units.get(name) in UNITS and value > 0}
+    first = {name: value for name, value in vehicle.parameters.items() if "" in parts and units.get(name) in SCALED and value > 0}
     own = {name: value for name, value in numbers.items() if name.split(".")[0] in parts and value > 0}
     first |= {name: value for name, value in own.items() if "volt" not in name and not name.endswith(".bandwidth")}
     first |= {name: given[name] for name in free}
@@ -214,6 +222,7 @@ def identify_experiments(
         problem, more = _on_the_ground(problem, air)
         remarks += more
         result = estimate(problem, tuple(first), seed)
+    remarks += [*check_forces(result), *contradictions(result)]
     mirror = _mirror(result, nearby)
     intervals = dict[str, Interval]()
     for name in result.free:

@@ -80,11 +80,11 @@ class LogPrediction:
 
     def __init__(self, experiment: Experiment, vehicle: Callable[[Mapping[str, float]], Vehicle]) -> None:
         self.experiment = experiment
-        self._vehicle = vehicle
+        self.changed = vehicle
 
     def vehicle(self, values: Mapping[str, float]) -> Vehicle:
         """Returns the vehicle of this experiment, including its payload."""
-        one = self._vehicle(values)
+        one = self.changed(values)
         return one.altered({name: one.parameters[name] + more for name, more in self.experiment.added.items()})
 
     @cached_property
@@ -156,7 +156,7 @@ class LogPrediction:
     def signals(self, names: Sequence[str], values: Mapping[str, float], start: Array | None) -> Array:
         """Returns the named signals of the vehicle at the samples, without sensor delay, shape (T, len(names))."""
         channels = tuple(Channel(name, np.zeros(len(self.experiment.road))) for name in names)
-        other = LogPrediction(replace(self.experiment, channels=channels), self._vehicle)
+        other = LogPrediction(replace(self.experiment, channels=channels), self.changed)
         return other(values, {}, start, [0.0] * len(names), False).values
 
     def _read(self, rows: Array, x: Array, delays: Sequence[float], driven: bool = True) -> Array:

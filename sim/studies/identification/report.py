@@ -35,6 +35,7 @@ SCALE = (
 )
 SILENT = "no measured signal depends on it"
 SHARE = Field[float]("deviation", float, ".2g", 100, unit="%")
+FAR_APART = 50.0  # a wide interval is reported if its ends differ by a larger factor than this: 7 up and 7 down
 MOST_POINTS = 2000  # largest number of points of a drawn curve
 SECTION = "identified"
 
@@ -162,11 +163,12 @@ def statements(of: Identification) -> Iterator[Statement]:
     for name in estimate.structure.silent:
         yield Statement(f"No measured signal depends on {name}; it keeps its initial value.", "ends")
     for name in estimate.undetermined:
-        if name in of.intervals:
-            yield Statement(
-                f"{name} is not determined in practice: its interval extends by more than a factor of 7 in each direction.",
-                "ends",
-            )
+        one = of.intervals.get(name)
+        if one and (one.low is None or one.high is None):
+            yield Statement(f"{name} is not determined in practice: its interval is open.", "ends")
+        elif one and one.low is not None and one.high is not None and one.high > FAR_APART * one.low:
+            factor = rough(one.high / one.low)
+            yield Statement(f"{name} is not determined in practice: its interval extends over a factor of {factor}.", "ends")
     if of.mirror:
         values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(

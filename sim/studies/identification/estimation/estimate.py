@@ -130,12 +130,13 @@ class Estimate:
         return self.structure.determined(self.free)
 
 
-def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> Estimate:
+def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0, several: bool = True) -> Estimate:
     """Identifies parameters.
 
     Args:
         free: names of the parameters to estimate; all other parameters keep their initial values.
         seed: random seed of further starting points, which are tried if the first one leads to a poor fit.
+        several: False to search only from the initial values.
 
     Raises:
         InputError: there is nothing to estimate, or the search from every starting point fails.
@@ -150,7 +151,8 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
             "the signals determine neither a parameter nor a combination of parameters; measure a signal that depends on them"
         )
     some = Residuals(problem, left)
-    return _estimate(some, solve_from_several(some, seed), structure)
+    solution = solve_from_several(some, seed) if several else solve(some, first_unknowns(some))
+    return _estimate(some, solution, structure)
 
 
 def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:

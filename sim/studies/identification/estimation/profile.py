@@ -74,7 +74,9 @@ def _end(of: Estimate, i: int, last: float, step: float, level: float) -> float 
             start = min((near, along), key=lambda x: own.deviance(x, own.noise(x)))
             solution = solve(own, start, ROUNDS, MOST, others)
             points[at] = solution.x
-            excesses[at] = math.sqrt(max(solution.deviance - of.deviance, 0.0)) - level
+            # a rise does not count if another parameter is at the limit of the search, because that limit may cause the rise
+            limited = {*own.at_limit(solution.x)} - {of.free[i]}
+            excesses[at] = -level if limited else math.sqrt(max(solution.deviance - of.deviance, 0.0)) - level
         return excesses[at]
 
     here = float(of.x[i])

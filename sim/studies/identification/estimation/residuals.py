@@ -61,6 +61,19 @@ class Residuals:
             return self.problem.first[name] * max(unknown, 0.0)
         return self.problem.first[name] * math.exp(min(max(unknown, -FURTHEST), FURTHEST))
 
+    def within(self, x: Array) -> Array:
+        """Returns the unknowns with each logarithm limited to `FURTHEST`; the values of the parameters stay the same."""
+        limited = x.copy()
+        for i, name in enumerate(self.free):
+            if name not in self.problem.from_zero:
+                limited[i] = min(max(limited[i], -FURTHEST), FURTHEST)
+        return limited
+
+    def at_limit(self, x: Array) -> list[str]:
+        """Returns the names of the free parameters that the search changed as far as it may, by a factor of 8000."""
+        logarithms = zip(self.free, x.tolist(), strict=False)
+        return [name for name, one in logarithms if name not in self.problem.from_zero and abs(one) >= FURTHEST]
+
     def coordinate(self, name: str, value: float) -> float:
         """Returns the unknown that represents a parameter: the ratio to its initial value if it may be zero, else the logarithm
         of this ratio.

@@ -64,7 +64,7 @@ def solve(of: Residuals, x: Array, rounds: int = ROUNDS, most: int = MOST, among
     """
     noise = of.noise(x)
     for _ in range(rounds):
-        x = least_squares(of, x, noise, most, among)
+        x = of.within(least_squares(of, x, noise, most, among))
         before, noise = noise, of.noise(x)
         if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
             break
