@@ -32,7 +32,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     """Returns True if the linear response of `sim.observers.twin.Twin` is exact for these runs.
 
     The response is exact only for a vehicle without nonlinear springs and dampers, and for linear laws that do not set
-    semi-active dampers. The laws must either act without delay, noise and quantisation, or request no force.
+    semi-active dampers. The control laws must either work without delay, noise and quantisation, or request no force.
     """
     vehicle = runs[0].vehicle
     linear = all(is_linear(run.controller, run.vehicle) for run in runs)
@@ -106,7 +106,7 @@ class RowObserver:
             self._twin.take(block)
 
     def result(self) -> list[tuple[RunEnd, dict[str, Any]]]:
-        """Returns, for each run, the end of its linear regime and the columns with its metrics."""
+        """Returns, for each run, the end of the linear regime and the result columns that contain the metrics."""
         ends, measured = self._ends.result(), self._meter.result()
         if self._linear is not None:
             measured |= {f"{LINEAR}{name}": each for name, each in self._linear.result().items()}
@@ -149,7 +149,9 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
 
 
 def end_columns(end: RunEnd) -> dict[str, Any]:
-    """Returns the columns that state why a run was aborted (None if it was not), and when and why its linear regime ended."""
+    """Returns the columns that state when and why a run's linear regime ended, and why the run was aborted (None if it
+    finished).
+    """
     reason = None
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"
@@ -168,7 +170,7 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
 def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
     """Returns the international roughness indices (IRI) of the driven part of a run's road [m/km], by name.
 
-    `plan` keeps the IRIs for other runs over the same road.
+    `plan` stores the roughness indices, so that they are not computed again for other runs over the same road.
     """
     key = (*(run.inputs[name] for name in ("road", "speed", "seed")), track_width(run.vehicle))
     if (kept := plan.roughness.get(key)) is None:
@@ -181,7 +183,8 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 
 
 def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
-    """Returns columns for a run over a random road: expected metrics, and the transient that remains at the start of measurement.
+    """Returns the result columns for a run over a random road: expected metrics, and the transient that remains when
+    measurement starts.
 
     The result is empty if the road has no spectrum.
     """

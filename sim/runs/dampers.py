@@ -27,9 +27,9 @@ class Shortfall:
 
     Attributes:
         rms: rms of the missing force relative to the rms of the requested force; 0 if no force was requested.
-        time: fraction of the samples at which some force is missing.
+        time: fraction of the samples at which part of the requested force is missing.
         softest, hardest: smallest and largest damping coefficient [N s/m], or smallest and largest voltage [V].
-        late: value of `rms` if the force that is missing due to the lag of the valve is included; None if the valve has no lag.
+        late: value of `rms` that also includes the force missing due to the lag of the valve; None if the valve has no lag.
     """
 
     rms: float

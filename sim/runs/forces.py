@@ -16,11 +16,11 @@ from sim.drive.response import Response
 
 
 def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
-    """Returns the loads over time: their sum in each direction and, if there are several loads, each load;
+    """Returns the external loads over time: the sum in each direction and, if there are several loads, each load;
 
     None if there are no loads.
 
-    The loads are held over each step at their value midway through the step, as in the simulation.
+    The loads are constant during each step, at their value midway through the step, as in the simulation.
     """
     if not isinstance(road, RoadWithLoads):
         return None
@@ -60,7 +60,7 @@ def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
     """Reads forces [N], shape (T, m), from a text.
 
     Raises:
-        InputError: the text contains forces with other names, or another number of samples than expected.
+        InputError: the names of the forces or the number of samples in the text differ from the expected ones.
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:

@@ -16,9 +16,9 @@ def driver_of(
 
     Args:
         name: name of a driver to use instead of the driver that belongs to the controllers.
-        failures: dictionary that receives the failures of Python control laws, whose runs continue without forces; None to
-            raise the failures as errors.
-        numbers: keys of the N runs in `failures`.
+        failures: dictionary that receives the failures of Python control laws; runs with failures continue without control
+            forces. None to raise failures as errors.
+        numbers: keys that identify the N runs in `failures`.
 
     Raises:
         InputError: there is no driver with this name.
