@@ -83,7 +83,7 @@ class RowObserver:
         Args:
             plan: all runs of the campaign.
             runs: runs of one controller.
-            batch: batch of the simulation; its attribute `numbers` contains the indices of its runs in `runs`.
+            batch: batch that is simulated; the attribute `numbers` contains the indices of the batch's runs in `runs`.
         """
         campaign, runs = plan.campaign, [runs[i] for i in batch.numbers]
         random, loaded = runs[0].choice.stationary, [run.road.loaded for run in runs]
@@ -122,7 +122,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
     """Simulates runs of one controller.
 
     Returns:
-        Rows of the results, and the indices of the runs whose failure may have been caused by another run.
+        Rows of the results, and the indices of failed runs whose failure may have been caused by a different run.
 
     Raises:
         StoppedError: `stopped` returned True.
@@ -186,7 +186,7 @@ def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
     """Returns the result columns for a run over a random road: expected metrics, and the transient that remains when
     measurement starts.
 
-    The result is empty if the road has no spectrum.
+    No columns are returned if the road has no spectrum.
     """
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
     if spectrum is None:

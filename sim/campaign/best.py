@@ -69,7 +69,7 @@ class Choice:
         numbers: values of the requested metrics for the selected candidate, by name of the metric, in SI units.
         within: number of candidates that satisfy all limits; if no candidate does, `candidate` is the candidate nearest to the
             limits.
-        count: number of candidates.
+        count: number of candidates that were compared.
     """
 
     vehicle: str
@@ -134,7 +134,7 @@ class Choice:
 
 
 def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
-    """Returns the request of `--best` and `--subject-to`; None if `--best` is not given.
+    """Returns the request that the options `--best` and `--subject-to` state; None without the option `--best`.
 
     Raises:
         InputError: a metric is unknown or missing for a vehicle, a limit is not a number, or options cannot be combined.

@@ -93,7 +93,7 @@ class Campaign:
         vehicles: vehicles of the campaign, by their names in the campaign file.
         controllers: names of the controllers; every vehicle must have all of them.
         roads: requested roads.
-        speeds: speeds of the vehicles [m/s].
+        speeds: speeds at which all vehicles drive [m/s].
         seeds: seeds of the random roads. A road that is not random is simulated only once, whatever the seeds.
         duration: duration of every run [s].
         settle: time from the start of a run over a random road until measurement starts [s]. Runs over roads that are not
@@ -129,8 +129,8 @@ class Campaign:
 
     @property
     def loaded(self) -> bool:
-        """True if external loads act on the vehicle's body on at least one road of the campaign. If such loads exist, the
-        angles of the vehicle's body are measured in all runs.
+        """True if external loads act on the vehicle's body on at least one road of the campaign. If external loads act on the
+        vehicle's body, the angles of the body are measured in all runs.
         """
         return any(road.loads for road in self.roads)
 

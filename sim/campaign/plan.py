@@ -66,7 +66,7 @@ class RunBlock:
         variants: sampled parameters of the control law by key, one mapping for each variant; None if no parameters are sampled.
         samples: sampled parameters of the vehicle by name [SI], one mapping for each sample; a single empty mapping if no
             parameters are sampled.
-        seeds: seeds of the road; only the first seed if the road is not random.
+        seeds: seeds of the random road; for a road that is not random, only the first seed.
     """
 
     start: int
@@ -221,7 +221,9 @@ class Plan:
         }
 
     def runs(self, start: int, stop: int) -> "list[PlannedRun]":
-        """Returns consecutive runs of one vehicle as objects. Runs with the same sample share one vehicle object."""
+        """Returns the `PlannedRun` objects of consecutive runs of one vehicle. Runs with the same sample share one vehicle
+        object.
+        """
         c, runs, vehicles = self.campaign, [], dict[int, Vehicle]()
         for run in range(start, stop):
             block, variant, sample, seed = self.place(run)

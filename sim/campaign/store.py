@@ -1,8 +1,8 @@
 """Results of a campaign on disk: one Parquet file per batch while the campaign runs, and one file with all runs at the end.
 
-The file name of a batch contains the number of its first run and the number after its last run. A file appears in the results
-folder only when it is complete. After any interruption, a campaign can therefore continue, and simulates only the runs that no
-file contains. If a file is damaged, its runs are simulated again.
+The file name of a batch contains the number of the first run, and the number of the last run plus 1. A file appears in the
+results folder only when it is complete. After any interruption, a campaign can therefore continue, and simulates only the runs
+that no file contains. If a file is damaged, its runs are simulated again.
 """
 
 import re
@@ -32,7 +32,7 @@ class Store:
         folder: path of the results folder.
         schema: columns of the results, with type, unit and definition.
         share: run numbers that the finished results must contain, as ascending intervals (start, stop).
-        parts: complete files of batches, by the number of the first run; each entry contains the number after the last run, and
+        parts: complete files of batches, by the number of the first run; each entry contains the last run's number plus 1, and
             the path.
         damaged: one sentence for each file that is incomplete or belongs to a different campaign, and whose runs are simulated
             again.

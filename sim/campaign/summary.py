@@ -47,7 +47,7 @@ def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
-    """Returns the score of each candidate over all its runs, by vehicle. The passive vehicle comes first."""
+    """Returns the score of each candidate over all its runs, by vehicle. The scores of the passive vehicle come first."""
     scores: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
@@ -104,9 +104,9 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     for other roads. There is no linear prediction for control laws written in Python.
 
     A run has left the linear regime if a tyre lifted off, an end stop was reached, an actuator saturated, or the run was
-    aborted. Aborted runs have no metrics, and are left out of the results and of the predictions. Runs in which the control law
-    failed have no metrics either. For a control law with sampled parameters, the entry also contains the root mean squares of
-    each variant.
+    aborted. Aborted runs have no metrics, so the root mean squares of the results and of the predictions do not include these
+    runs. Runs in which the control law failed have no metrics either. For a control law with sampled parameters, the entry also
+    contains the root mean squares of each variant.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
     metrics = list(dict.fromkeys(one.name for kinds in lines.values() for some in kinds.values() for one in some))
@@ -365,8 +365,8 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
 def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Array, dict[str, list[float]]]:
     """Returns points with the expected dynamic load and ride of a vehicle on one road at one speed.
 
-    Both results are empty if the road is not random, the campaign samples vehicle parameters, or the vehicle has no semi-active
-    dampers.
+    Both sets of points are empty if the road is not random, the campaign samples vehicle parameters, or the vehicle has no
+    semi-active dampers.
 
     Args:
         plan: runs of the campaign.

@@ -80,7 +80,7 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
     Args:
         run: words that name the run in the sentence.
         there: row of the results that is checked.
-        now: expected values of this row, by column.
+        now: expected values of the checked row, by column.
         where: words in the sentence that state where the expected values come from.
     """
     wrong = [name for name, value in there.items() if not _same(value, now.get(name))]

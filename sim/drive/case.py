@@ -41,9 +41,10 @@ class Case:
         vehicle: vehicle of the run, with its force limits and the implementation of its controller.
         driver: controller of the run, or recorded commands that replace the controller.
         road: road of the run, including any external loads on the body.
-        start: state at the start of the run. If None, the run starts in equilibrium or, on a measured road, in steady motion.
-        undelayed_controller: second controller, which runs without `[implementation]`; the forces of both controllers are
-            added. None if there is no second controller.
+        start: state at the start of the run. If `start` is None, the run starts in equilibrium or, on a measured road, in
+            steady motion.
+        undelayed_controller: second controller, which runs without `[implementation]`; None if there is no second controller.
+            The forces of both controllers are added.
         earlier: True to repeat a run that was made with an earlier version of Roadproof, see `RoadInput.earlier`.
         input: road heights at the sample times, if these heights have been computed before; otherwise None.
     """
@@ -83,8 +84,8 @@ class Batch:
             + r); None if there are no such inputs.
         effects: effects of the external loads on the signals at the samples and on the measurements, see
             `RoadInput.in_signals`; None if there are no loads.
-        sides: road heights [m] on that side of each vertical edge which `now` does not contain, by index of the sample; shape
-            (N, r) each.
+        sides: road heights [m] at each vertical edge, on the side whose height `now` does not contain, by index of the sample;
+            shape (N, r) each.
         failures: failures of Python control laws, by number of the run. A run whose control law has failed continues without
             control forces. If `failures` is None, the first failure is raised as an error.
         numbers: index of each run in the list of all cases; these indices are the keys of `failures`.
@@ -145,8 +146,8 @@ def batch_of(
 
     Args:
         numbers: index of each case in the list of all cases; these indices are the keys of `failures`.
-        streamed: True for road inputs that do not store their road heights. Otherwise, all road heights would be stored twice,
-            in the road inputs and in the batch.
+        streamed: True for road inputs that do not store their road heights. If False, all road heights are stored twice, in the
+            road inputs and in the batch.
         failures: dictionary that receives the failures of Python control laws; None to raise the first failure.
     """
     inputs, vehicles = inputs_of(cases, time), [one.vehicle for one in cases]

@@ -16,9 +16,9 @@ from sim.drive.driver import Driver, RunDriver
 class Computer:
     """Computer that executes one driver for several runs, as the section `[implementation]` of each vehicle file describes.
 
-    A measurement is quantisation * round((signal + noise) / quantisation). The resulting commands act `delay` samples later;
-    `delay` need not be an integer. The rate limit on commands is applied before the delay. All commands are 0 until the first
-    computed commands arrive after the delay. The states of the driver are not delayed.
+    A measurement is quantisation * round((signal + noise) / quantisation). The commands computed from a measurement act `delay`
+    samples later; `delay` need not be an integer. The rate limit on commands is applied before the delay. All commands are 0
+    until the first computed commands arrive after the delay. The states of the driver are not delayed.
 
     Attributes:
         driver: driver that computes the commands of the runs.

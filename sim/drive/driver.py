@@ -60,7 +60,7 @@ class Driver(Protocol):
     def requests(self) -> str:
         """Meaning of the requests that `step` returns: "forces", "coefficients" or "commands".
 
-        "forces" [N] and damping "coefficients" of all dampers [N s/m] have shape (N, m), and the actuators limit them.
+        "forces" [N] and damping "coefficients" of all dampers [N s/m] have shape (N, m), and are limited by the actuators.
         "commands" go to the actuators unchanged, see `sim.drive.actuators.Actuators`.
         """
         ...

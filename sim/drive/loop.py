@@ -60,8 +60,8 @@ class Block:
         measured: signals at the controllers' samples before noise and quantisation, then the closing velocities, shape (B, N,
             s); NaN at time steps without a controller sample.
         names: names of the signals and closing velocities in `measured`, in the order of its last axis.
-        others: signals on that side of each vertical road edge which `values` does not contain, by index of the sample, shape
-            (S, N) each.
+        others: signals at each vertical edge of the road, on the side that `values` does not contain, by index of the sample,
+            shape (S, N) each.
     """
 
     start: int
@@ -90,7 +90,7 @@ class Block:
     def law_diverged(self) -> Array:
         """True for each run that diverged in this block only because the states of its control law overflowed, shape (N,).
 
-        In such a run, the states of the law overflowed while all physical signals were still within `DIVERGENCE_LIMIT`.
+        The states of the law overflowed while all physical signals of the run were still within `DIVERGENCE_LIMIT`.
         """
         wild, runs = self._beyond_limits, np.arange(self.largest.shape[1])
         return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGENCE_LIMIT)
@@ -133,7 +133,7 @@ class Loop:
     """
 
     def __init__(self, cases: Sequence[Case], timestep: float) -> None:
-        """Prepares the data that all batches of the given cases share."""
+        """Prepares the data that all batches of the simulated cases share."""
         self.timestep = timestep
         self.model, self.readout = prepared_readout(cases[0].vehicle, timestep)
         distinct = {id(one.vehicle): one.vehicle for one in cases}
@@ -240,7 +240,7 @@ class Loop:
 
         Args:
             edges: sample indices at which the blocks begin and end; block k has the samples from `edges[k]` up to `edges[k +
-                1]`. The first of these indices is 0, and the last is at most T.
+                1]`. The first index in `edges` is 0, and the last is at most T.
             stopped: function that returns True to stop the simulation of the runs.
         """
         blocks = self._blocks(batch, edges, stopped)
@@ -436,7 +436,7 @@ def _acts_without_limit(vehicle: Vehicle) -> list[bool]:
 
 
 def _span(of_sensors: Array) -> slice:
-    """Returns the part of `sensordata` on which signals depend.
+    """Returns the part of MuJoCo's `sensordata` on which signals depend.
 
     Args:
         of_sensors: rows of the matrix `Readout.of_sensors` for the signals to compute.

@@ -41,8 +41,8 @@ class Threshold:
         signal: name of the signal that is limited.
         sign: 1 for an upper limit, -1 for a lower limit, 0 for a limit of the magnitude.
         value: limit of sign * signal, or of the magnitude of the signal [unit of the signal].
-        tyre: names of the hub and road velocities, on which the force of a tyre with damping also depends; None if the tyre has
-            no damping.
+        tyre: names of the hub and road velocities, on which the force of a tyre with damping also depends; None if the
+            velocities do not matter.
         part: part for which the difference [N] between its force and its linearised force is limited; None if the signal itself
             is limited.
         of_rate: True if the value limits the rate of an actuator's command, see `command_rates`.
@@ -129,8 +129,8 @@ def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
 def _either_way(
     names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None], of_rate: bool = False
 ) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns a function that returns a vehicle's thresholds for the magnitudes of signals; these are empty if the vehicle has
-    no such limit.
+    """Returns a function that returns a vehicle's thresholds for the magnitudes of signals, or an empty list if these
+    magnitudes are not limited.
     """
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
@@ -272,8 +272,8 @@ class EndDetector:
     """Detector of the first time at which each of N runs reaches each of `REGIME_ENDS`, for whole signals or block by block.
 
     MuJoCo measures a tyre as a length, which is never below zero. If the road rises past a hub within a step, MuJoCo measures a
-    long tyre, and the hub has jumped upwards. A tyre therefore also counts as fully compressed if its hub has jumped and the
-    road is above the hub's extrapolated position.
+    long tyre, so that the computed hub position jumps upwards. A tyre therefore also counts as fully compressed if its hub has
+    jumped and the road is above the hub's extrapolated position.
 
     A tyre with damping loses contact when its total force becomes zero; the equivalent deflection of the tyre then reaches the
     static deflection (`models/kinds/strut_and_tyre.py`).
@@ -409,7 +409,7 @@ def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup
 def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which a simulated response first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity.
 
-    The leading axes of the response are runs. `anti_windup` is True if the law of these runs has anti-windup.
+    The leading axes of the response are runs. `anti_windup` is True if the control law of the runs has anti-windup.
     """
     return _detected(vehicle, response, False, anti_windup).times.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
 
@@ -443,7 +443,7 @@ def first_end(times: Array) -> Array:
     Args:
         times: times of the ends from `end_times` [s], shape (..., E).
 
-    If two ends occur at the same sample, the one that comes first in `REGIME_ENDS` is returned.
+    If two ends occur at the same sample, the end that comes first in `REGIME_ENDS` is returned.
     """
     return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
 

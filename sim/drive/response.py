@@ -115,7 +115,7 @@ class Response(ShownResult):
         return Response(self.time, self.signals, self.values[index], before)
 
     def with_signals(self, signals: tuple[Signal, ...], values: Array) -> "Response":
-        """Returns the response with additional signals, values of shape (..., T, k).
+        """Returns the response with k additional signals, whose values have shape (..., T, k).
 
         If there are no additional signals, the response itself is returned.
         """
@@ -250,8 +250,8 @@ def difference(physics: Response, sampled: Response) -> Response:
         sampled: exact sampled response, at the same sample times as the simulated response.
 
     Returns:
-        Difference of each signal of the vehicle over time. The road signals are omitted, because they are inputs of both
-        responses.
+        Difference between the simulated and the sampled response over time, for each signal of the vehicle. The road signals
+        are omitted, because they are inputs of both responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []

@@ -61,8 +61,8 @@ class Readout:
         of_road: derivatives of the signals with respect to the road heights, shape (S, r); the signals are linear in these
             heights.
         rest: product of `of_sensors` and MuJoCo's `sensordata` in equilibrium, shape (S,).
-        has_road_feedthrough: True if an acceleration depends directly on the road height. In this case, the acceleration that
-            MuJoCo computes during a step, with the road height at mid-step, is not the acceleration at the sample.
+        has_road_feedthrough: True if an acceleration depends directly on the road height. An acceleration that depends on the
+            road height has a different value during a MuJoCo step (road at mid-step) than at the sample.
         mocap: index of the mocap body that represents the road under each wheel.
         stretching_rates: matrix that maps qvel to the extension rate of each input's actuator, for the geometry in equilibrium,
             shape (m, nv).

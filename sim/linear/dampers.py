@@ -79,8 +79,8 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the commands of the actuators in a simulated run, shape (T, 2 m); 0 after the run diverged.
 
-    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from the change of the coefficient in a
-    step: RK4 covers a known fraction of the distance to the command.
+    See `CoefficientRange.commands`. The command of a lagging coefficient is computed from the coefficient's change in a step,
+    because RK4 covers a known fraction of the distance to the command.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)

@@ -8,8 +8,8 @@ In the sampled loop, the road height at sample time t_k is Z exp(j omega t_k). D
 its mid-step height, which is exp(j omega h/2) times the height at the sample. If tyres have damping, the road velocity is also
 constant during each step, at its mean over the step. The control force is also constant during each step. At the samples, the
 response to a sinusoid is then exactly a sinusoid. If the sample period of the controller is several steps, the response also
-contains other frequencies. In this case, the frequency response contains only the component at omega, computed from all steps
-of a sample period.
+contains other frequencies. The computed frequency response contains only the component at omega, which is computed from all
+steps of a sample period.
 
 Preview adds to the requested forces a sum over the coming samples i, at intervals T: the preview weights times exp(j omega i
 T). In continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s, where F(s) are the preview
@@ -68,8 +68,8 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: time step h [s].
         exponential: function that computes the matrix exponential; with `taylor4`, the result is that of RK4.
-        pulls: names of the e suspension deflections along which additional forces act. The responses to these additional
-            forces, per newton, are appended to the responses to the road; the shape is then (F, p, r + e).
+        pulls: names of the e suspension deflections along which additional forces act. The responses to the additional forces,
+            per newton, are appended to the responses to the road; the shape is then (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))

@@ -1,8 +1,9 @@
 """Nonlinear elements of a vehicle (characteristics and semi-active dampers), and the vehicle linearised at equilibrium.
 
-In the linearised vehicle, ideal force actuators replace semi-active dampers. A characteristic that is straight near equilibrium
-is kept, because it is linear on a sufficiently low road. A characteristic that bends at equilibrium, due to a kink or friction,
-is replaced by a straight line, because it is nonlinear even on the lowest road.
+In the linearised vehicle, ideal force actuators replace semi-active dampers. A characteristic that is a straight line near
+equilibrium is kept, because the vehicle with this characteristic is linear on sufficiently low roads. A characteristic that
+bends at equilibrium, due to a kink or friction, is replaced by a straight line, because it is nonlinear even on the lowest
+road.
 """
 
 from models.vehicle.vehicle import Vehicle

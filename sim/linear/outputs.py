@@ -30,8 +30,8 @@ def response_of(
         model: model of the vehicle, or a larger model whose first states and inputs are those of the vehicle.
         states, inputs: states and inputs of the model at the samples, shapes (T, n) and (T, m).
         beyond: contribution of characteristics and loads to the outputs, shape (T, p); 0 without characteristics and loads.
-        beside: additional signals by name, each of shape (T,). If None, the function computes and adds the damper signals that
-            belong to `inputs`.
+        beside: additional signals by name, each of shape (T,). If `beside` is None, the function computes and adds the damper
+            signals that belong to `inputs`.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
     return response_by_name(road, (*model.outputs, *with_ending(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)

@@ -37,8 +37,8 @@ class Prediction:
     Attributes:
         input: road of the run, and the vehicle with the limits and the implementation that hold in this run.
         controller: controller whose control law closes the feedback loop.
-        requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for other
-            controllers.
+        requested_force: commands of a Python control law, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for a
+            linear controller.
         replayed: True if the commands of a Python control law come from a log, so that the law itself is not executed.
         most_states: largest number of states, including delayed forces, of a loop for which eigenvalues are computed.
     """
@@ -181,7 +181,7 @@ class Prediction:
 
     @property
     def varies(self) -> bool:
-        """True if the commands would be different at another time step, due to noise, quantisation or rounding."""
+        """True if the commands would change with the time step, due to noise, quantisation or rounding."""
         return self.is_blurred or bool(self.rounding_text)
 
     @property

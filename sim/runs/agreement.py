@@ -15,9 +15,9 @@ Linear analysis applies to a run until such an event, because the equations are 
 `LinearComparison` computes the difference from the linear response only if the difference is needed. The verdict does not
 depend on the difference from the linear response.
 
-For a vehicle type with rotating bodies but without equations of motion, only the linear (first-order) behaviour is checked. For
-this check, the run is repeated on the same road with all heights multiplied by `SMALL`. The relative difference from the linear
-response must then be smaller by the factor `SMALL`.
+For a vehicle type with rotating bodies but without equations of motion, only the linear (first-order) behaviour is checked. The
+run is repeated on the same road with all heights multiplied by `SMALL`, and compared with linear analysis. The relative
+difference from the linear response must then be smaller by the factor `SMALL`.
 """
 
 import math
@@ -61,9 +61,8 @@ class SignalAgreement:
     Attributes:
         sampled: largest difference from the exact sampled response, relative to the peak of the sampled response; NaN if there
             is no sampled response.
-        continuous: largest difference from the response of the continuous closed loop, relative to the peak of this response.
-            The difference is partly due to the force, which is constant during each step. NaN if there is no continuous
-            response.
+        continuous: largest difference from the response of the continuous closed loop, relative to the peak of this response;
+            NaN if there is no such response. The difference is partly due to the force, which is constant during each step.
         allowed: bound on `sampled` that allows for the error of RK4 and for rounding; NaN if the difference has no bound.
         scale: value by which the differences are divided [unit of the signal].
         small: value of `sampled` for the same road with all heights multiplied by `SMALL`; None if this value was not needed.

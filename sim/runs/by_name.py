@@ -34,10 +34,10 @@ def run(
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
             necessary. A function can also be used as a control law. law(t, y) receives the time [s] and the q measurements,
             shape (q,). The function law(t, y) returns the force [N], a number or an array of shape (m,). A function law(sample,
-            state) returns the force and the next state, like a control law in a Python file. Such a function receives the
-            signals that its attribute `measured` lists or, without this attribute, all measurable signals. An object with the
-            methods of `sim.Driver` can also be used as a control law. A single controller may be given without a list; the
-            result is then a list with one run.
+            state) returns the force and the next state, like a control law in a Python file. A function receives the signals
+            that its attribute `measured` lists or, without this attribute, all measurable signals. An object with the methods
+            of `sim.Driver` can also be used as a control law. A single controller may be given without a list; the result is
+            then a list with one run.
         road: road to drive over, for example `models.Bump(height=0.1)`.
         duration: duration of the run [s].
         timestep: time step of MuJoCo [s]. The time step is also the sample period of the controllers if the vehicle file does

@@ -1,8 +1,8 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 In a linear loop, the modes determine the motion from sample to sample. A constant matrix therefore maps the state signals at a
-few successive samples to their values one sample later. This constant matrix is found by least squares. The eigenvalues of the
-matrix give the frequencies and damping ratios of the modes. Singular values at the level of rounding errors are removed, so
+few successive samples to the same signals one sample later. This constant matrix is found by least squares. The eigenvalues of
+the matrix give the frequencies and damping ratios of the modes. Singular values at the level of rounding errors are removed, so
 that modes without motion have no effect. With characteristics or large angles, the result is the linear loop that fits the
 whole decay best.
 """

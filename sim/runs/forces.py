@@ -41,7 +41,7 @@ def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None
 
 
 def _load_names(loads: Sequence[Load]) -> list[str]:
-    """Returns a name for each load: its type, with a number if there are several loads of this type."""
+    """Returns a name for each load: the type of the load, followed by a number if there are several loads of the same type."""
     kinds = [load.text.partition(":")[0] if load.label == load.text else "file" for load in loads]
     counted = [f"{kind}_{kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]

@@ -236,7 +236,7 @@ def joined_names(names: Sequence[str]) -> str:
 def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     """Returns sentences on a run: its events, checks, differences from linear analysis, and energy balance.
 
-    If a run passes and remains in the linear range, all sentences about it count as details.
+    If a run passes all checks and remains in the linear range, all sentences about this run count as details.
 
     Args:
         full: False to omit the details, because the linear responses would have to be computed for them.

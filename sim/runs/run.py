@@ -155,11 +155,10 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
 
 
 def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> list[Run]:
-    """Returns the verdicts on runs.
-
-    A run with exported code is also compared with a run in which the control law itself computes the forces. For a vehicle type
-    with rotating bodies but without equations of motion, a run on a lower road is also compared with linear analysis. This
-    function also simulates the additional runs with the control law itself and on the lower road.
+    """Returns the runs with a verdict on each run. A run with exported code is also compared with a run in which the control
+    law itself computes the forces. For a vehicle type with rotating bodies but without equations of motion, a run on a lower
+    road is also compared with linear analysis. This function also simulates the additional runs with the control law itself and
+    on the lower road.
 
     Args:
         predictions: predictions of the runs, which have the same sample times and vehicles of the same type.

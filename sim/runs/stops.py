@@ -42,7 +42,7 @@ def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns the deepest simulated contact with each stop, by name of the deflection and by side; None for a stop without
     contact.
 
-    Only the part of a run before the run becomes invalid is considered.
+    Contacts after a run has become invalid are ignored.
     """
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}

@@ -50,8 +50,8 @@ class _Trace:
 
     @property
     def values(self) -> Array:
-        """Values of this run that the axis must contain. If the run is not bounded, these are only the values in the linear
-        regime.
+        """Values of this run that the axis must contain. If the run is not bounded, the axis must contain only the values in
+        the linear regime.
         """
         physics = self.physics if self.bounded else self.physics.until(self.until)
         return np.concatenate([self.line[self.name], physics[self.name]])

@@ -37,8 +37,8 @@ class PythonDriver:
         """Prepares the controller of the runs.
 
         Args:
-            failures: dictionary that receives the failures of the law; runs with failures continue without control forces. None
-                to raise failures as errors.
+            failures: dictionary that receives the failures of the law; None to raise failures as errors. Runs with failures
+                continue without control forces.
             numbers: keys that identify the N runs in `failures`.
         """
         self._controller, self._failures, self._numbers = controller, failures, numbers

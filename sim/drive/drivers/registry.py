@@ -16,8 +16,8 @@ def driver_of(
 
     Args:
         name: name of a driver to use instead of the driver that belongs to the controllers.
-        failures: dictionary that receives the failures of Python control laws; runs with failures continue without control
-            forces. None to raise failures as errors.
+        failures: dictionary that receives the failures of Python control laws; None to raise failures as errors. Runs with
+            failures continue without control forces.
         numbers: keys that identify the N runs in `failures`.
 
     Raises:
