@@ -29,7 +29,7 @@ from synth.controller.controller import is_linear
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
-    """Returns True if the linear response of `sim.observers.twin.Twin` is exact for these runs.
+    """Returns True if the linear response that `sim.observers.twin.Twin` computes is exact for the runs.
 
     The response is exact only for a vehicle without nonlinear springs and dampers, and for linear laws that do not set
     semi-active dampers. The control laws must either work without delay, noise and quantisation, or request no force.
@@ -82,7 +82,7 @@ class RowObserver:
 
         Args:
             plan: all runs of the campaign.
-            runs: runs of one controller.
+            runs: runs with the same controller.
             batch: batch that is simulated; the attribute `numbers` contains the indices of the batch's runs in `runs`.
         """
         campaign, runs = plan.campaign, [runs[i] for i in batch.numbers]
@@ -119,7 +119,7 @@ class RowObserver:
 
 
 def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> tuple[Rows, list[int]]:
-    """Simulates runs of one controller.
+    """Simulates runs with the same controller.
 
     Returns:
         Rows of the results, and the indices of failed runs whose failure may have been caused by a different run.

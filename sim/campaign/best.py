@@ -1,4 +1,5 @@
-"""Selects the best controller of a campaign by one metric, within limits on other metrics, and writes it to a vehicle file.
+"""Selects the best controller of a campaign by one metric, within limits on other metrics, and writes this controller to a
+vehicle file.
 
 All controllers of the campaign are candidates. If parameters of a control law are sampled, each variant is a candidate. All
 candidates are simulated over the same roads.
@@ -42,7 +43,7 @@ class Request:
 
     Attributes:
         metric: name of the metric that is minimised.
-        limits: upper limits of other metrics by name, in SI units.
+        limits: upper limits on other metrics, by name of the metric, in SI units.
         units: units of the limits; empty for a limit without a unit.
     """
 
@@ -62,7 +63,7 @@ class Choice:
 
     Attributes:
         vehicle: name of the vehicle in the campaign file.
-        request: metric and limits that the user requested.
+        request: metric to minimise and limits on other metrics, as the user requested them.
         candidate: selected candidate; None if no candidate has values for all requested metrics.
         values: sampled values of the parameters of the selected candidate's control law, by key; empty if no parameters are
             sampled.
@@ -170,7 +171,7 @@ def _check_metric(option: str, name: str, campaign: Campaign) -> None:
 
 
 def _known_metrics(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics of a vehicle by name.
+    """Returns the metrics that a campaign computes for a vehicle, by name.
 
     A metric is either a single column of the results, or an entry of the registry `METRICS`, which may combine several columns.
     """

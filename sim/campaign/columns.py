@@ -28,7 +28,7 @@ INTEGER, NUMBER, TEXT = pa.int64(), pa.float64(), pa.string()
 
 
 def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
-    """Returns all columns of the results in order, each with its unit and definition.
+    """Returns all columns of the results in order, each with a unit and a definition.
 
     Args:
         campaign: campaign to which the results belong.

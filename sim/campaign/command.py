@@ -113,7 +113,8 @@ def run_part(options: argparse.Namespace) -> int:
     Prints the progress of the campaign.
 
     Raises:
-        InputError: the campaign file or the results folder is invalid, the part overlaps another part, or the disk is full.
+        InputError: the campaign file or the results folder is invalid, the part shares runs with an existing part, or the disk
+            is full.
     """
     part, campaign, folder = parts.part_of(options.part), _read(options), _folder(options)
     if (folder / NAME).exists():
@@ -196,7 +197,7 @@ def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stag
 
 
 def _merge(campaign: Campaign, folder: Path) -> None:
-    """Writes the results and the plan of the whole campaign from its parts, unless both files exist already.
+    """Joins the parts of a campaign to the files with its results and its plan, unless both files exist already.
 
     Raises:
         InputError: parts overlap, are missing or unfinished, or were simulated for a different campaign or with different

@@ -1,4 +1,4 @@
-"""Reading of a campaign file (TOML).
+"""Reads a campaign file in TOML format.
 
 The file lists vehicles, controllers, roads, speeds and seeds, all of which the campaign combines, and the parameters to sample.
 """
@@ -91,7 +91,7 @@ class Campaign:
 
     Attributes:
         vehicles: vehicles of the campaign, by their names in the campaign file.
-        controllers: names of the controllers; every vehicle must have all of them.
+        controllers: names of the controllers, all of which every vehicle must have.
         roads: requested roads.
         speeds: speeds at which all vehicles drive [m/s].
         seeds: seeds of the random roads. A road that is not random is simulated only once, whatever the seeds.
@@ -160,7 +160,7 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def parse_campaign(text: str, path: Path) -> Campaign:
-    """Returns a campaign from the text of its file.
+    """Builds a campaign from the text of a campaign file.
 
     Args:
         text: text of the campaign file.

@@ -54,7 +54,7 @@ class Manifest:
     part: str = ""
 
     def write(self, folder: Path) -> "Manifest":
-        """Writes this plan to the results folder, and returns the plan.
+        """Writes the plan of the campaign to the results folder, and returns the plan.
 
         Raises:
             InputError: the file cannot be written.
@@ -82,7 +82,7 @@ class Manifest:
         return read_manifest(folder) or self
 
     def check(self, folder: Path, digest: str, versions: Mapping[str, str], instead: str = ELSEWHERE) -> None:
-        """Checks that the plan in a folder belongs to this campaign and to the installed versions.
+        """Checks that the plan in a folder belongs to the present campaign and to the installed versions of packages.
 
         Args:
             folder: results folder, whose path the error message contains.
@@ -91,7 +91,7 @@ class Manifest:
             instead: advice to the user at the end of the error message.
 
         Raises:
-            InputError: the checksum or a version differs.
+            InputError: the checksum of the campaign or the version of a package differs from that in the plan.
         """
         if self.digest != digest:
             raise InputError(f"{folder} contains the results of another campaign, or its files have changed; {instead}")

@@ -3,9 +3,9 @@
 The machines of the cluster need a shared folder, but the file system need not support file locks. The jobs of a campaign can
 run in any order.
 
-The results folder contains a folder `parts` with the plan, which the first part writes when it starts. `parts` also contains a
-folder for each part, such as `3-of-40`, with its own copy of the plan. The option `--merge` joins the results in the folders of
-all parts to the results of the whole campaign.
+The results folder contains a folder `parts` with the plan of the campaign, which the first job writes when it starts. `parts`
+also contains a folder for each part, such as `3-of-40`, with its own copy of the plan. The option `--merge` joins the results
+in the folders of all parts to the results of the whole campaign.
 """
 
 import itertools
@@ -29,7 +29,7 @@ class CampaignPart:
 
     Attributes:
         of: total number of parts.
-        number: number of this part, from 1 to `of`.
+        number: number of the part, from 1 to `of`.
     """
 
     of: int
@@ -39,7 +39,7 @@ class CampaignPart:
         return f"{self.number}/{self.of}"
 
     def folder(self, campaign: Path) -> Path:
-        """Returns the folder of this part. `campaign` is the results folder of the whole campaign."""
+        """Returns the folder for the results of a part. `campaign` is the results folder of the whole campaign."""
         return campaign / PARTS / f"{self.number}-of-{self.of}"
 
 
@@ -58,7 +58,7 @@ def part_of(text: str) -> CampaignPart:
 
 
 def there(folder: Path) -> list[CampaignPart]:
-    """Returns the parts that have a folder in the results folder of their campaign, in ascending order.
+    """Returns the parts of a campaign that have a folder in its results folder, in ascending order.
 
     Raises:
         InputError: parts overlap, because the campaign was divided into different numbers of parts.

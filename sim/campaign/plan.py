@@ -85,12 +85,12 @@ class RunBlock:
 
     @property
     def stop(self) -> int:
-        """Number of the last run plus 1."""
+        """Number of the block's last run plus 1."""
         return self.start + math.prod(self.shape)
 
     @property
     def candidates(self) -> dict[Candidate, Array]:
-        """The controller, or each of its variants, with the numbers of its runs, shape (n,)."""
+        """The controller, or each variant of it, with the numbers of the runs that belong to it, shape (n,)."""
         numbers = [None] if self.variants is None else range(len(self.variants))
         runs = np.split(np.arange(self.start, self.stop), len(numbers))
         return {Candidate(self.controller, number): some for number, some in zip(numbers, runs, strict=True)}
@@ -105,8 +105,9 @@ class Plan:
 
     Attributes:
         campaign: campaign to which the runs belong.
-        controllers: controllers by vehicle and name.
-        variants: controllers with sampled parameters of the law, one for each variant, by vehicle and controller.
+        controllers: controllers of the campaign, by name of the vehicle and name of the controller.
+        variants: controllers whose control laws have sampled parameters, one for each variant, by name of the vehicle and of
+            the controller.
         roughness: international roughness indices [m/km] of the most recent roads, stored because many runs use the same road.
     """
 
@@ -149,12 +150,12 @@ class Plan:
         return block, variant, sample, seed
 
     def driver(self, vehicle: str, candidate: Candidate) -> AnyController:
-        """Returns the controller of a candidate."""
+        """Returns the controller with which the runs of a candidate are simulated."""
         drawn = self.variants.get(vehicle, {}).get(candidate.controller)
         return self.controllers[vehicle][candidate.controller] if drawn is None else drawn[candidate.variant or 0]
 
     def candidates(self, vehicle: str) -> dict[Candidate, Array]:
-        """Returns the candidates of a vehicle, each with the numbers of its runs, shape (n,).
+        """Returns the candidates of a vehicle, each with the numbers of the candidate's runs, shape (n,).
 
         If the campaign samples the parameters of a control law, the resulting variants are candidates, and the controller
         itself is not.
@@ -237,7 +238,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """All inputs of one run.
+    """All inputs of one run: vehicle, controller and road.
 
     Attributes:
         inputs: columns of the results that describe the inputs of the run.
@@ -277,11 +278,11 @@ class Progress:
         return self._next
 
     def add(self, runs: int, took: float) -> None:
-        """Adds finished runs and shows the progress.
+        """Adds finished runs to the progress of the campaign, and prints the progress.
 
         Args:
             runs: number of finished runs.
-            took: time that one worker needed to simulate these runs [s].
+            took: time that one worker needed to simulate the finished runs [s].
         """
         self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs

@@ -41,12 +41,12 @@ class SamplesSection(Section):
 
 @dataclass(frozen=True)
 class Sampler:
-    """Random sampling of parameters.
+    """Random sampling of vehicle and control-law parameters.
 
     Attributes:
-        count: number of samples.
+        count: number of samples to draw.
         method: sampling method, one of `METHODS`.
-        seed: seed of the random numbers.
+        seed: seed of the random numbers from which samples are drawn.
     """
 
     count: int
@@ -72,8 +72,8 @@ class Sampler:
             units: units of the parameters that have a unit, by name.
 
         Raises:
-            InputError: the table contains an unknown name or an invalid distribution, or a distribution reaches an invalid
-                value.
+            InputError: the table contains an unknown parameter or an invalid distribution, or a distribution contains invalid
+                values.
         """
         quantiles: dict[str, Callable[[Array], Array]] = {}
         scales: dict[str, float] = {}

@@ -47,7 +47,9 @@ def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
-    """Returns the score of each candidate over all its runs, by vehicle. The scores of the passive vehicle come first."""
+    """Returns the score of each candidate over all runs of this candidate, by vehicle. The scores of the passive vehicle come
+    first.
+    """
     scores: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
@@ -72,7 +74,7 @@ def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Cand
     Args:
         campaign: the campaign. Runs over random roads are measured after the `settle` time of the campaign.
         scores: scores over all runs, see `compare`.
-        chosen: candidate that the table of each vehicle always contains, by vehicle; None if there is no such candidate.
+        chosen: candidate that the table of a vehicle always contains, by vehicle; None if no candidate was selected.
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
     begins = f", random roads measured from {campaign.settle:g} s on (settle)" if settles else ""
@@ -154,7 +156,7 @@ def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: A
         columns: columns of the results by name, shape (count,) each.
         metrics: metrics among which the worst is selected.
         some: numbers of the runs to which the statistics refer, shape (n,).
-        distances: measured distance of every run [m], shape (count,).
+        distances: distance that the vehicle drives in the measured part of each run [m], shape (count,).
     """
     there = some[np.all([np.isfinite(columns[one.name][some]) for one in metrics], axis=0)] if metrics else some[:0]
     if not len(there):
@@ -243,7 +245,7 @@ def _place(vehicle: str, road: str, speed: float, entries: Sequence[Mapping[str,
 def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Returns a table of the ride metric of a vehicle, with a row for each road and speed and a column for each controller.
 
-    The result is empty for a single road, or if there are more than `SEEN` rows or columns.
+    No table is returned for a single road, or if the table would have more than `SEEN` rows or columns.
     """
     by_place: dict[str, dict[str, float | None]] = {}
     for entry in entries:
@@ -302,7 +304,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) 
         scores: scores over all runs, see `compare`.
 
     Returns:
-        The figure; None if no run has both metrics.
+        The figure; None if no run has a ride metric and a load metric.
     """
     campaign, several = plan.campaign, len(plan.campaign.vehicles) > 1
     own = {vehicle: f", {vehicle}" if several else "" for vehicle in campaign.vehicles}

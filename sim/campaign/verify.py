@@ -79,7 +79,7 @@ def _differences(run: str, there: Mapping[str, Any], now: Mapping[str, Any], whe
 
     Args:
         run: words that name the run in the sentence.
-        there: row of the results that is checked.
+        there: values in the row that is checked, by column.
         now: expected values of the checked row, by column.
         where: words in the sentence that state where the expected values come from.
     """

@@ -38,7 +38,7 @@ class Case:
     """Description of a single run: vehicle, controller and road.
 
     Attributes:
-        vehicle: vehicle of the run, with its force limits and the implementation of its controller.
+        vehicle: vehicle of the run, including force limits and the implementation of the controller.
         driver: controller of the run, or recorded commands that replace the controller.
         road: road of the run, including any external loads on the body.
         start: state at the start of the run. If `start` is None, the run starts in equilibrium or, on a measured road, in

@@ -58,7 +58,7 @@ def drive(
     failures: dict[int, Failure] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[list[Any]]:
-    """Simulates cases in MuJoCo. Cases that can be simulated together, step by step, form a batch.
+    """Simulates several cases in MuJoCo. Cases that can be simulated together, step by step, form a batch.
 
     Args:
         cases: the N cases to simulate.

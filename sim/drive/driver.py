@@ -114,11 +114,12 @@ RunDriver = AnyController | RecordedForces  # controller of one run, or the reco
 
 @dataclass(frozen=True)
 class Failure:
-    """Failure of the control law of a run.
+    """Description of how the control law of a run failed.
 
     Attributes:
         why: reason why the control law failed, as one line of text.
-        together: True if the failed call computed the forces of several runs, so that another run may have caused the failure.
+        together: True if the failed call computed the forces of several runs, so that a different run may have caused the
+            failure.
     """
 
     why: str

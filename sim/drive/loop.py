@@ -43,7 +43,7 @@ MOST_HEIGHTS = 5_200_000
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Block of consecutive samples of N runs.
+    """Simulated signals of N runs at consecutive samples (a block).
 
     Attributes:
         start: index of the first sample in the block.
@@ -59,7 +59,7 @@ class Block:
             of states.
         measured: signals at the controllers' samples before noise and quantisation, then the closing velocities, shape (B, N,
             s); NaN at time steps without a controller sample.
-        names: names of the signals and closing velocities in `measured`, in the order of its last axis.
+        names: names of the signals and closing velocities in `measured`, in the order of the last axis of `measured`.
         others: signals at each vertical edge of the road, on the side that `values` does not contain, by index of the sample,
             shape (S, N) each.
     """

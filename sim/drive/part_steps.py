@@ -1,9 +1,9 @@
 """MuJoCo steps for vehicles with force elements that MuJoCo itself cannot simulate.
 
 `Batch` does not run Python callbacks, so this module evaluates each stage of RK4 itself. The forces of the parts are computed
-from the present deflections and velocities of the suspensions. A motor on the tendon of each suspension applies these forces,
-and MuJoCo computes the accelerations. The stages of RK4 are combined as in MuJoCo's function `mj_RungeKutta`. MuJoCo itself
-computes all forces except those of the parts.
+from the present deflections and velocities of the suspensions. A motor on the tendon of each suspension applies the part
+forces, and MuJoCo computes the accelerations. The stages of RK4 are combined as in MuJoCo's function `mj_RungeKutta`. MuJoCo
+itself computes all forces except those of the parts.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -139,8 +139,8 @@ class PartBatch(Batch):
         """Computes the accelerations again, now including the forces of inertial parts.
 
         The force p = b l'' of an inerter with inertance b depends on l'', the second time derivative of the inerter's length.
-        Let a be the value of l'' without inertial parts. The inerter forces p change l'' to a + R p, where R is the response to
-        unit forces; therefore p = b (a + R p).
+        Let a be the value that l'' would have without inertial parts. The inerter forces p change l'' to a + R p, where R is
+        the response to unit forces; therefore p = b (a + R p).
         """
         controls, qacc = bound.controls, np.array(bound.qacc)
         J, turning = self._lengths.jacobian(bound)
@@ -229,7 +229,7 @@ class _Inputs:
 
 
 class _Lengths:
-    """Computes the lengths of s tendons in N runs, relative to their lengths in equilibrium.
+    """Computes the lengths of s tendons in N runs, relative to the lengths in equilibrium.
 
     Attributes:
         linear: True if the tendon lengths are linear functions of the positions.

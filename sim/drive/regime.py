@@ -243,8 +243,9 @@ LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law 
 def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
     """Returns the fraction of the distance to the command that a lagging force covers in a step, and the sample period [s].
 
-    For a predicted response, the fraction follows from the exact solution. For a simulated response, the fraction is that of an
-    RK4 step. The fraction is 0 if there is no lag. `timestep` is 0 if the response has a single sample.
+    For a predicted response, the fraction follows from the exact solution. For a simulated response, the fraction is the
+    fraction that an RK4 step covers. The fraction of the distance is 0 if the actuator has no lag. `timestep` is 0 if the
+    response has a single sample.
     """
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
     way = float(-np.expm1(-z)) if predicted else way_in_step(z)
@@ -272,7 +273,7 @@ class EndDetector:
     """Detector of the first time at which each of N runs reaches each of `REGIME_ENDS`, for whole signals or block by block.
 
     MuJoCo measures a tyre as a length, which is never below zero. If the road rises past a hub within a step, MuJoCo measures a
-    long tyre, so that the computed hub position jumps upwards. A tyre therefore also counts as fully compressed if its hub has
+    long tyre, so that the computed hub position jumps upwards. A tyre therefore also counts as fully compressed if the hub has
     jumped and the road is above the hub's extrapolated position.
 
     A tyre with damping loses contact when its total force becomes zero; the equivalent deflection of the tyre then reaches the
@@ -399,7 +400,7 @@ class EndDetector:
 
 
 def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup: bool) -> EndDetector:
-    """Returns a detector that has received all samples of a response. The leading axes of the response are runs."""
+    """Returns a detector that has received all samples of a response. The leading axes of the response correspond to runs."""
     runs = response.values.reshape(-1, *response.values.shape[-2:])
     detector = EndDetector([vehicle] * len(runs), response.time, predicted, [anti_windup] * len(runs))
     detector.update(0, np.moveaxis(runs, 0, 2))
@@ -409,7 +410,7 @@ def _detected(vehicle: Vehicle, response: Response, predicted: bool, anti_windup
 def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which a simulated response first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity.
 
-    The leading axes of the response are runs. `anti_windup` is True if the control law of the runs has anti-windup.
+    The leading axes of the response correspond to runs. `anti_windup` is True if the control law of the runs has anti-windup.
     """
     return _detected(vehicle, response, False, anti_windup).times.reshape(*response.values.shape[:-2], len(REGIME_ENDS))
 

@@ -140,7 +140,7 @@ class Response(ShownResult):
         return replace(self, before=before)
 
     def only(self, names: Sequence[str]) -> "Response":
-        """Returns the response with only some of its signals."""
+        """Returns the response with only the selected signals."""
         columns = [self._column(name) for name in names]
         before = {name: self.before[name] for name in names if name in self.before}
         return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns], before)
@@ -162,11 +162,13 @@ class Response(ShownResult):
 
     @property
     def law_diverged(self) -> bool:
-        """True if this is a single simulated run that ended because the states of its law diverged; see `Recording.response`."""
+        """True if the response is that of a single simulated run that ended because states of the control law diverged; see
+        `Recording.response`.
+        """
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Any:
-        """Returns the largest magnitude of a signal, including both sides of its jumps; NaN if a run ended early.
+        """Returns the largest magnitude of a signal, including the values on both sides of jumps; NaN if a run ended early.
 
         For a single run, the result is a float; for several runs, it is an array of shape (...,).
         """
@@ -174,7 +176,7 @@ class Response(ShownResult):
 
     @cached_property
     def _peaks(self) -> Array:
-        """Peaks of all signals, shape (..., S); cached because `scale` often needs them."""
+        """Peaks of all signals, shape (..., S); these peaks are cached, because `scale` often needs them."""
         peaks = np.maximum(np.abs(self.values.max(axis=-2)), np.abs(self.values.min(axis=-2)))
         for name, values in self.before.items():
             peaks[..., self._column(name)] = np.maximum(peaks[..., self._column(name)], np.abs(values).max(axis=-1))
@@ -188,13 +190,13 @@ class Response(ShownResult):
     def scale(self, signal: str) -> float:
         """Returns the reference value for relative differences of a signal in a single run, usually the signal's peak.
 
-        A signal may remain zero because of symmetry, for example the roll angle over a bump under both tracks. The scale is
-        therefore at least a thousandth of the largest signal with the same unit, see `loudest_alike`.
+        A signal may remain zero because of symmetry, for example the roll angle over a bump under both tracks. The reference
+        value is therefore at least a thousandth of the peak of the largest signal with the same unit, see `loudest_alike`.
         """
         return max(self.peak(signal), SILENT * float(self._loudest[self._column(signal)]))
 
     def rms(self, signal: str) -> Any:
-        """Returns the root mean square of a signal over the whole response, including both sides of its jumps.
+        """Returns the root mean square of a signal over the whole response, including the values on both sides of jumps.
 
         For a single run, the result is a float; for several runs, it is an array of shape (...,).
         """
@@ -244,14 +246,14 @@ class Response(ShownResult):
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # signals of an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
     """Returns the difference from the exact sampled response over time, relative to the peaks of the sampled response. The
-    verdict uses the largest of these differences.
+    verdict on a run uses the largest difference over time.
 
     Args:
         sampled: exact sampled response, at the same sample times as the simulated response.
 
     Returns:
         Difference between the simulated and the sampled response over time, for each signal of the vehicle. The road signals
-        are omitted, because they are inputs of both responses.
+        are omitted, because the road is the same in both responses.
     """
     outputs = tuple(signal for signal in sampled.signals if not signal.name.startswith("road_"))
     columns: list[Array] = []

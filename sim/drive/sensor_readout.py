@@ -22,7 +22,9 @@ MOST_TRIALS = 60  # largest number of iterations in the search for a given state
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
-    """Returns a key that is equal for vehicles with the same MuJoCo model, regardless of their controllers' implementations."""
+    """Returns a key that is equal for vehicles with the same MuJoCo model, even if the implementations of the controllers
+    differ.
+    """
     curves, ratios, dampers = (one.values() for one in (vehicle.curves, vehicle.kind.ratios, vehicle.dampers))
     return (vehicle.kind.name, *vehicle.parameters.values(), *curves, *ratios, vehicle.limits, *dampers)
 

@@ -8,8 +8,8 @@ In the sampled loop, the road height at sample time t_k is Z exp(j omega t_k). D
 its mid-step height, which is exp(j omega h/2) times the height at the sample. If tyres have damping, the road velocity is also
 constant during each step, at its mean over the step. The control force is also constant during each step. At the samples, the
 response to a sinusoid is then exactly a sinusoid. If the sample period of the controller is several steps, the response also
-contains other frequencies. The computed frequency response contains only the component at omega, which is computed from all
-steps of a sample period.
+contains frequencies other than omega. The computed frequency response contains only the component at omega, which is computed
+from all steps of a sample period.
 
 Preview adds to the requested forces a sum over the coming samples i, at intervals T: the preview weights times exp(j omega i
 T). In continuous time, preview adds the integral of F(s) exp(j omega s) over the preview time s, where F(s) are the preview
@@ -103,7 +103,7 @@ def driven_loop(
     exponential: Callable[[Array], Array] = linalg.expm,
     pulls: Sequence[str] = (),
 ) -> tuple[Loop, dict[str, Array]]:
-    """Returns the sampled loop and its inputs for road velocities exp(j omega t) and for suspension forces.
+    """Returns the sampled loop, and the loop's inputs for road velocities exp(j omega t) and for suspension forces.
 
     The inputs are a mapping from names to arrays of shape (F, r + e).
 
@@ -175,8 +175,7 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     vehicle with one wheel, the returned gain is the H-infinity norm.
 
     Args:
-        response: function of angular frequencies [rad/s], shape (F,), that returns the frequency response at these frequencies,
-            shape (F, p, r).
+        response: function that returns the frequency response, shape (F, p, r), at angular frequencies [rad/s], shape (F,).
         highest: highest frequency of the search [rad/s]: the Nyquist frequency pi / h, where h is the time step.
         speed: forward speed [m/s].
     """

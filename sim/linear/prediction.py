@@ -27,7 +27,7 @@ LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characte
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Linear responses of one run that starts in equilibrium. Each response is computed when it is first needed.
+    """Linear responses of one run that starts in equilibrium. Each linear response is computed when it is first needed.
 
     Linear analysis does not cover a Python control law. For a Python control law, the responses are computed from the forces
     that the law requested in the run. A run whose controller sets semi-active dampers is not linear and has no sampled
@@ -132,7 +132,7 @@ class Prediction:
 
     @property
     def road(self) -> Road:
-        """Road of this run."""
+        """Road over which the vehicle drives in this run."""
         return self.input.road
 
     @property

@@ -3,7 +3,7 @@
 Rounding errors do not depend on the road. In MuJoCo, lengths of about a metre have a rounding error of 1e-16 m, and large
 forces balance the weight of the vehicle. A bump of one decimetre and a bump of one micrometre therefore cause the same rounding
 error of a signal. The error model assumes that the error of each state that is a length is a few times the rounding error. The
-error of each velocity is this error of a length times the vehicle's fastest rate. The effect of the state errors on the outputs
+error of each velocity is the error of a length times the vehicle's fastest rate. The effect of the state errors on the outputs
 follows from the linear model.
 """
 

@@ -14,8 +14,8 @@ If a damper or a spring has a characteristic, the response is computed by RK4 (`
 
 Loads f on the body (`models/roads/loads/`) are also constant during each step, at mid-step values; loads from files have their
 mean values over the step. The loads appear in the equations like the force u, with the matrix Bl instead of B. Signals and
-measurements at a sample are computed with the load at this sample. Laws with states and measured accelerations enlarge the
-state (`synth/plant/loop.py`), but the equations remain the same.
+measurements at a sample are computed with the load at this sample. The states of a control law and measured accelerations
+enlarge the state vector (`synth/plant/loop.py`), but the equations remain the same.
 
 Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 

@@ -12,8 +12,8 @@ each step. Only f is nonlinear. The four stages of a step are therefore products
 only f is evaluated in each stage.
 
 Actuator forces and the coefficients of semi-active dampers are computed at each stage, with their lag and with the present
-motion ratio. At every sample, a law requests forces, and each semi-active damper takes the coefficient in its range that comes
-closest to its requested force. Limits of suspension travel and of actuator force are not included.
+motion ratio. At every sample, a law requests forces, and each semi-active damper applies the allowed coefficient whose force is
+closest to the requested force. Limits of suspension travel and of actuator force are not included.
 """
 
 from collections.abc import Sequence
@@ -173,7 +173,9 @@ class Stepper:
         return x @ self._stretching.T * self.ratios.turns(travels)
 
     def closing(self, of: CoefficientRange, xi: Array, heights: Array) -> Array:
-        """Returns the values of `CoefficientRange.closing`. The arguments are those of `pulls`."""
+        """Returns the closing velocities and states that `CoefficientRange.closing` defines. The arguments are those of
+        `pulls`.
+        """
         travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s] if of.elements else xi[..., : self._s]
         last = len(self._vehicle.linear_model.states)
         return of.closing(self.speeds(xi, heights), travels, xi[..., last - self._own : last])
@@ -306,7 +308,7 @@ class SteppedRuns:
 
     @property
     def single(self) -> Response:
-        """Response of the first run, including the values on the other side of vertical edges of the road."""
+        """Response of the first run, including the values on both sides of the road's vertical edges."""
         return with_linear_sides(self.response.run(0), self.inputs[0], True)
 
     @property

@@ -2,8 +2,8 @@
 
 A run agrees with the model if two local checks hold:
 
-1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations from the same state (`sim.observers.steps`).
-   The check of steps includes lift-off, stops, characteristics, dampers and large angles.
+1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations that starts in the same state
+   (`sim.observers.steps`). The check of steps includes lift-off, stops, characteristics, dampers and large angles.
 2. Every command equals the command of the control law for the measurements of the run (`sim.observers.commands`). The check of
    commands includes sampling, delay, noise, quantisation, limits and exported code.
 
@@ -91,7 +91,7 @@ class SignalAgreement:
 
 @dataclass(frozen=True, eq=False)
 class LinearComparison:
-    """Differences of a run from its linear responses, as long as linear analysis applies.
+    """Differences between a simulated run and the linear responses, as long as linear analysis applies.
 
     Attributes:
         prediction: linear responses of the run.
@@ -145,7 +145,7 @@ class LinearComparison:
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # signals of an unstable loop may overflow
     def _own_errors(self) -> dict[str, float]:
-        """Error of RK4 in each signal, relative to the peak of the response without this error."""
+        """Error of RK4 in each signal, relative to the signal's peak in the response without this error."""
         exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer
         integrated, exact = self.prediction.integrated.until(self.until), exact.until(self.until)
         return {name: _difference(integrated, exact, name) for name in self.prediction.vehicle.linear_model.outputs}

@@ -1,4 +1,4 @@
-"""Runs of a vehicle with several controllers, which can be given by their names in the vehicle file."""
+"""Runs of a vehicle with several controllers, which can be selected by name in the vehicle file."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -47,8 +47,8 @@ def run(
         One run per controller, with the simulated response, the predicted responses, and the verdict `agrees`.
 
     Raises:
-        InputError: the vehicle cannot drive over this road, a controller belongs to another vehicle, a time is not allowed, or
-            a function fails.
+        InputError: the vehicle cannot drive over the road, a controller belongs to a different vehicle, a time is not allowed,
+            or a function fails.
         DesignError: a controller cannot be designed.
 
     Example:

@@ -102,7 +102,7 @@ DIFFERENCES = Record[CodeEffect](_differences)
 
 
 def code_notes(effect: CodeEffect, vehicle: Vehicle) -> list[str]:
-    """Returns a sentence on exported code and on how much it changes the signals compared with the control law."""
+    """Returns a sentence that states how much exported code changes the signals compared with the control law."""
     line = f"the controller runs as compiled code in {effect.numbers}"
     if effect.clipped_readings:
         return [

@@ -67,7 +67,7 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
 
 
 def damper_notes(run: RunResult) -> list[Statement]:
-    """Returns sentences on the force that semi-active dampers did not supply, and its consequence for linear analysis."""
+    """Returns sentences on the force that semi-active dampers did not supply, and on the consequence for linear analysis."""
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())

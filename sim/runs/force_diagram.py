@@ -1,4 +1,6 @@
-"""Damper and spring diagrams: the force of a suspension against velocity or deflection, with its characteristic or limits."""
+"""Damper and spring diagrams: the force of a suspension against velocity or deflection, with the characteristic or limits of
+the force.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -42,7 +44,7 @@ class Diagram:
     """Diagram of a force against the velocity or deflection on which it depends (its argument).
 
     Attributes:
-        title: title with the name of the parameter and its place.
+        title: title that names the vehicle parameter or damper, and where in the vehicle it is.
         over: name and unit of the argument (velocity or deflection) against which the force is plotted.
         argument, pull: log signals that contain the argument and the force.
         x: function that returns the values of the argument in a response, shape (T,).

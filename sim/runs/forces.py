@@ -51,7 +51,7 @@ LONGEST = 26  # largest number of characters of a number in the text, including 
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:
-    """Returns forces [N], shape (T, m), as text with their names as heading."""
+    """Returns forces [N], shape (T, m), as text whose heading contains the names of the forces."""
     rows = (",".join(map(repr, row)) for row in forces.tolist())
     return "\n".join([",".join(names), *rows, ""]).encode()
 

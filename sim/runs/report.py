@@ -202,7 +202,7 @@ def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> 
     statement contains the range of the times.
 
     Args:
-        said: pairs of the name of a controller and a statement about it.
+        said: pairs of the name of a controller and a statement about this controller.
         where: text that precedes each statement.
     """
     pairs, alike = list(said), dict[Statement, list[tuple[str, list[str]]]]()
@@ -374,7 +374,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
 
 
 def _balance(run: RunResult) -> Iterator[Statement]:
-    """Yields a sentence on the energy balance of a run if it is known."""
+    """Yields a sentence on the energy balance of a run if this balance was computed."""
     energy = run.energy
     if energy is None:
         return
@@ -469,7 +469,9 @@ def checks_table(runs: Sequence[RunResult]) -> Table:
 
 
 def events(run: RunResult) -> tuple[tuple[float, str], ...]:
-    """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, with their times [s]."""
+    """Returns the events of a run with their times [s]: lift-offs, landings, the first bump stop and saturation, divergence,
+    and overflow.
+    """
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):

@@ -45,14 +45,14 @@ class HalfStep:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """Simulated run with its prediction.
+    """Simulated run with the linear prediction of this run.
 
     Attributes:
         prediction: linear responses for the vehicle, controller and road of the run.
         physics: response simulated by MuJoCo.
         agreement: comparison of the simulation with linear analysis, and checks of steps and commands.
         qpos: MuJoCo's generalised positions, shape (T, nq), for drawing the run; None if the energy balance is not computed.
-        energy: energy balance of the run; None if it is not computed.
+        energy: energy balance of the run; None if no energy balance was computed.
         half_step: accuracy of the simulation after a lift-off; None if no tyre lifted off, or if the run became invalid. With
             noisy or quantised measurements, `half_step` is also None, because noise and quantisation depend on the time step.
     """
@@ -66,7 +66,9 @@ class RunResult:
 
     @property
     def broke_off(self) -> tuple[str, float] | None:
-        """Event after which all results are meaningless, with its time [s]; None if there is no such event."""
+        """Event after which all results of the run are meaningless, with the time [s] of this event; None if there is no such
+        event.
+        """
         ends = {FLAT.name: self.agreement.end_times[FLAT.name], broken_by(self.physics): self.physics.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
@@ -105,8 +107,8 @@ class RunResult:
         signal.
 
         The difference is measured up to `agreement.until`, the time until which linear analysis applies. The mapping is empty
-        for a vehicle without characteristics, or without a sampled response. States of parts with a kink at equilibrium are
-        omitted.
+        for a vehicle without characteristics, or without a sampled response. Internal states of parts whose characteristic has
+        a kink at equilibrium are omitted.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}
@@ -136,7 +138,7 @@ class RunResult:
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Warnings about the run and about its road."""
+        """Warnings about the run and about the road."""
         yield from (f"controller {self.controller.name!r}: agrees is None, as {why}; {ADVICE[why]}" for why in self.undecided)
         yield from self.road.warnings
 

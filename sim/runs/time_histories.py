@@ -252,7 +252,7 @@ def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
 
 
 def _stays_bounded(run: RunResult) -> bool:
-    """Returns True if a run has not become invalid, and its loop is not known to be unstable."""
+    """Returns True if a run has not become invalid, and the loop is not known to be unstable."""
     return run.broke_off is None and not run.prediction.radius >= 1  # for a loop that is not linear, the spectral radius is NaN
 
 

@@ -79,8 +79,8 @@ class SharedDesignData:
         """Returns the lower bound on the norm for controllers of any order that measure the signals `measured` with the noise
         `noise`.
 
-        If there are no measurements, the bound for state feedback is returned. If heights above a datum are measured, the bound
-        for any measurements is returned.
+        If the controller has no measurements, the lower bound for state feedback is returned. If the controller measures
+        heights above a datum, the lower bound for any measurements is returned.
         """
         key = tuple(measured), noise
         if self.vehicle.linear_model.over_datum(measured):
@@ -419,7 +419,8 @@ def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], A
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        names: names of controllers in the vehicle file, `passive` or `state`. A single name may be given without a list.
+        names: names of controllers in the vehicle file, `passive` or `state`. A single controller's name may be given without a
+            list.
 
     Returns:
         The controllers, in the order of the names, each with its control law and certificate.

@@ -220,7 +220,7 @@ def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: 
     Args:
         vehicle: vehicle to which the controllers belong.
         controllers: linear controllers. A controller without measurements has no certificate.
-        law: law in its exported form, if there is only one controller.
+        law: control law in the form in which it is exported, if there is only one controller.
 
     Returns:
         Text of each file, by file name; empty if no controller has a certificate.

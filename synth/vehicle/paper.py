@@ -1,4 +1,5 @@
-"""Comparison with the paper's published designs (40)-(60), and with remarks 4 and 5 of the paper about other design methods.
+"""Comparison with the paper's published designs (40)-(60), and with the paper's remarks 4 and 5, which are about different
+design methods.
 
 Remark 4: with the states of equation (30), problem (25) has no solution for L = 0. With the heights z_s and z_u and their
 velocities as states, as in reference [33], problem (25) has a solution for controller I, but not for II. For the states of
@@ -152,7 +153,7 @@ class Way:
         controller: name of the controller, I or II.
         how: name of the design method.
         gain: gain K, shape (1, q).
-        norm: norm of the closed loop.
+        norm: norm of the closed loop that the method achieves.
         work: text that states how many LMI problems were solved, or how many norms were computed.
         seconds: processor time that the method needed [s].
     """

@@ -23,7 +23,7 @@ class RefinedController:
     """Controller whose norm was reduced by refinement, and details of the refinement.
 
     Attributes:
-        controller: refined controller with its certificate.
+        controller: refined controller, which includes a certificate.
         start: controller that was refined; None if the two-step method found no gain.
         origin: description of the gain at which the minimisation of the norm began; empty if the minimisation began at `start`.
         refinement: norms before and after the refinement, growth of the gain, and the decrease of the norm that was rejected as

@@ -103,7 +103,7 @@ def _sample_period(system: Any) -> float | None:
 def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
     """Converts a linear system to a certified controller.
 
-    The inputs of the system are the measurements, and its outputs are the forces.
+    The inputs of the system are the measurements, and the outputs of the system are the forces.
 
     Args:
         vehicle: vehicle to which the controller belongs.
@@ -151,7 +151,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
         The control law as a `control.StateSpace`, which is discrete if the law is discrete, otherwise continuous.
 
     Raises:
-        InputError: the controller has no measurements, or belongs to another vehicle.
+        InputError: the controller has no measurements, or belongs to a different vehicle.
 
     Example:
         >>> from models import read_vehicle

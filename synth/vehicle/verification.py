@@ -123,7 +123,7 @@ class Verification:
         return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where, how)
 
     def regret(self, bests: Sequence[float]) -> Specification:
-        """Returns the specification of the largest ratio between a vehicle's norm and its individual optimum."""
+        """Returns the specification of the largest ratio between a vehicle's norm and the individual optimum for this vehicle."""
         problem, proofs = self.problem, []
         if problem.has_errors:
             worst = self.worst(problem.minimise)
@@ -225,7 +225,7 @@ def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float
 
 
 def shifted_plant(plant: Plant, rate: float) -> Plant:
-    """Returns the plant without its filters, with all poles shifted to the right.
+    """Returns the plant without weighting filters, and with all poles shifted to the right by `rate`.
 
     A loop with the shifted plant is stable if the loop with the original plant decays faster than `rate` [1/s].
     """

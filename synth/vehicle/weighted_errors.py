@@ -55,8 +55,8 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
 
 
 def is_robust_design(entry: ControllerEntry) -> bool:
-    """Returns True if a controller is designed for its weighted uncertainties: its section contains `order`, and it is not
-    designed for the sampled-data loop.
+    """Returns True if a controller is designed for its weighted uncertainties: the section contains `order`, and the design is
+    not for the sampled-data loop.
     """
     request, structure = entry.request, entry.request.structure
     free = request.design == FULL if structure is None else not (structure.kind or structure.rows)

@@ -1,7 +1,7 @@
 """Driver for exported controller code. The exported code receives the measurements and computes the commands of the actuators.
 
 Quantisation, delay, limits and anti-windup of the controller are part of the exported code. Sensor noise is added to the
-measurements before the code receives them.
+measurements before the exported code receives the measurements.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,6 @@
-"""Drivers by name. Registry of drivers: for each type of control law, a class or function in its own file creates the driver."""
+"""Drivers by name. Registry of drivers: for each type of control law, a class or function in a separate file creates the
+driver.
+"""
 
 from collections.abc import Sequence
 
@@ -21,6 +23,6 @@ def driver_of(
         numbers: keys that identify the N runs in `failures`.
 
     Raises:
-        InputError: there is no driver with this name.
+        InputError: there is no driver with the requested name.
     """
     return DRIVERS.load(name or controllers[0].driver_key[0])(controllers, failures, numbers)

@@ -40,7 +40,7 @@ def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: fl
 
     Args:
         vehicle: vehicle to which the controller belongs; the sample period and the delay in `[implementation]` are not used.
-        controller: linear controller of this vehicle.
+        controller: linear controller of the vehicle.
         delay: delay from a measurement to the force that is computed from this measurement [samples].
 
     Returns:
@@ -102,7 +102,7 @@ class Cost:
 
     Attributes:
         controller: controller to which the norms belong.
-        ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
+        ideal: norm of the continuous loop with actuator lag and without noise; infinite if the continuous loop is not stable.
         lower_bound: lower bound on the norm for any controller with the same measurements at any sample rate; None if no bound
             is known. The bound is proved for time-invariant controllers, but also holds for time-varying controllers, which
             cannot be better (Khargonekar, Poolla 1986).

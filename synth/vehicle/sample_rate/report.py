@@ -73,7 +73,7 @@ def about(one: Cost, lag: str, designs: bool) -> str:
 
 
 def _table(one: Cost, lag: str, detail: Detail) -> Document:
-    """Returns a document about one controller, with its norm at each sample rate."""
+    """Returns a document about one controller, which contains the controller's norm at each sample rate."""
     ideal = NORM.digits(one.ideal) if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
     name = one.controller.name

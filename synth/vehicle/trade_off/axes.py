@@ -40,7 +40,7 @@ class FrontAxis:
 
     Attributes:
         name: name of the axis: ride, travel, road_holding, force, band or tolerance.
-        norm: norm that is the value of the axis, with its signals and frequency band.
+        norm: norm whose value is plotted on the axis, with the signals and the frequency band of this norm.
         off: largest relative gain error of each measurement. If `off` is not zero, the value of the axis is the worst norm over
             all errors up to this size.
         meaning: one-line description of the norm on this axis.
@@ -63,7 +63,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     """Returns the axes that a text such as `ride:travel` or `band=4-8:travel:force` describes.
 
     Raises:
-        InputError: the number of axes is wrong, or an axis is repeated, unknown, or without signals in this vehicle.
+        InputError: the number of axes is wrong, or an axis is repeated or unknown, or the vehicle has no signals for an axis.
     """
     parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:

@@ -32,7 +32,7 @@ NOTHING = 1e-9  # a value of an axis counts as zero if it is below this multiple
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedGain:
-    """Gain with its norms on all axes.
+    """Gain of a controller, with the norms on all axes that it yields.
 
     Attributes:
         x: coordinates that represent the gain in the landscape, shape (N,).
@@ -181,7 +181,8 @@ def _sides(count: int) -> int:
 
 
 def undominated_rows(values: Array) -> Array:
-    """Returns a mask of the rows that no other row dominates, shape (N,). Only the first of several equal rows is included.
+    """Returns a mask of the designs (rows) that no other design dominates, shape (N,). The mask includes only the first of
+    several equal rows.
 
     Args:
         values: values of N designs on K axes, shape (N, K).

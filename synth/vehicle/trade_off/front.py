@@ -42,7 +42,7 @@ class Point:
 
     Attributes:
         controller: controller with its certificate for `[performance]`.
-        norms: value of the controller on each axis, with its proved bound.
+        norms: norm that the controller achieves on each axis, with a proved bound.
         travel: largest suspension deflection over the paper's bump [m]; None if it was not computed, or if the vehicle has no
             suspension.
     """
@@ -65,7 +65,7 @@ class Front:
         vehicle: vehicle of the trade-off.
         name: name of the controller whose measurements, bounds and structure the designs use.
         axes: axes of the trade-off.
-        points: designs that no other design dominates, in ascending order of the first axis.
+        points: designs that no other design dominates, in ascending order of the norm on the first axis.
         others: other controllers of the vehicle file, for comparison.
         missing: reason for each controller of the vehicle file that is not compared, by name of the controller.
         limits: lower-bound curve for each pair of axes.
@@ -85,12 +85,12 @@ class Front:
 
     @property
     def values(self) -> Array:
-        """Norms of the N points on the K axes, shape (N, K)."""
+        """Norms of the N designs on the K axes, shape (N, K)."""
         return np.array([point.values for point in self.points]).reshape(-1, len(self.axes))
 
     @property
     def marked(self) -> list[int]:
-        """Indices of the points that represent the front in tables and simulations."""
+        """Indices of the designs that represent the front in tables and simulations."""
         return marked_indices(len(self.points))
 
 
@@ -155,7 +155,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     """Returns the section of the controller on which the designs of a front are based.
 
     Raises:
-        InputError: the designs of a front cannot be based on this section.
+        InputError: the designs of a front cannot be based on the controller's section.
     """
     if name == "state":
         return ControllerEntry(name, vehicle.linear_model.states)
@@ -174,7 +174,9 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
 
 
 def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Point]) -> Iterator[tuple[int, float]]:
-    """Yields the index of each representative point and its largest suspension deflection over the paper's bump [m]."""
+    """Yields the index of each representative design, and the largest suspension deflection that this design has over the
+    paper's bump [m].
+    """
     signals = [name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
     if not signals:
         return
@@ -185,7 +187,7 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
 
 
 def marked_indices(count: int) -> list[int]:
-    """Returns the indices of representative points, evenly spaced from the first to the last."""
+    """Returns the indices of representative designs, evenly spaced from the first design to the last."""
     return sorted({round(i) for i in np.linspace(0, count - 1, MARKED_POINTS)}) if count else []
 
 

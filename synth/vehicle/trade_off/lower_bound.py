@@ -62,7 +62,7 @@ class LowerBoundCurve:
         curve.
 
         Args:
-            values: values of the points on both axes, shape (N, 2).
+            values: values of the N points on both axes, shape (N, 2).
         """
         reached = np.sqrt((np.asarray(values) ** 2) @ (self.weights**2).T)
         with np.errstate(all="ignore"):

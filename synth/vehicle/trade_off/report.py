@@ -226,7 +226,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
 def _together(
     others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
 ) -> list[list[str]]:
-    """Returns the names of the controllers that the figure shows; controllers at the same position form a group."""
+    """Returns the names of the controllers that the figure shows; names of controllers at the same position are grouped."""
     size, groups = np.array([high - low for low, high in ranges]), list[list[str]]()
     for (name, place), far in zip(others.items(), beyond, strict=True):
         near = [names for names in groups if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size)]
