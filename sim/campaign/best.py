@@ -183,8 +183,8 @@ def _check_save(campaign: Campaign, path: Path) -> None:
     """Checks that the option `--save` can save a vehicle file with the selected controller.
 
     Raises:
-        InputError: the campaign has several vehicles, the name for the saved controller exists already, or the saved file would
-            be invalid.
+        InputError: the campaign has several vehicles, the name for the saved controller exists already, or Roadproof could not
+            read the saved file.
     """
     if len(campaign.vehicles) > 1:
         raise InputError(f"--save needs a campaign with one vehicle, not {len(campaign.vehicles)}; omit --save, or list one")

@@ -35,7 +35,7 @@ def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict
 
     Raises:
         DesignError: a controller cannot be designed.
-        InputError: the file of a control law cannot be read, or the exported code does not match any controller.
+        InputError: the file of a control law cannot be read, or the exported code belongs to a different controller or vehicle.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
